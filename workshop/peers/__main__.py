@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import checksum, write_text
+from omnistereo_lib.files import checksum, make_folder, write_text
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "book/conventions.md"
@@ -41,6 +41,14 @@ PROGRAMS = {
     "openvino": ("openvino", "openvino==2026.4.1", "3.11"),
     "tract": ("tract", "tract==0.23.9 numpy==2.4.6", "3.11"),
     "py360convert": ("panoramas", "py360convert==1.0.4", "3.11"),
+    "blender": ("blender", "bpy==5.0.1", "3.11"),
+    "nerfstudio": (
+        "nerfstudio",  # its reader, which needs no GPU; torch is ours
+        "open3d==0.20.0; nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
+        "typeguard==4.6.1 docstring_parser==0.18.0 rich==15.0.0 viser==1.1.1 msgspec==0.22.0 "
+        "websockets==17.4 zstandard==0.25.0 tensorboard==2.21.0 absl-py==2.5.1 --no-deps",
+        "ours",
+    ),
 }
 COLORS = [(230, 30, 20), (30, 200, 40), (250, 160, 10)]  # RGB, of the video
 _HEADS = {
@@ -80,7 +88,7 @@ def install(name: str) -> tuple[str, Path] | None:
     _, pins, version = PROGRAMS[name]
     # A shim of pyenv may be there without the version behind it.
     env = os.environ | {"PYENV_VERSION": version}
-    python = shutil.which(f"python{version}")
+    python = sys.executable if version == "ours" else shutil.which(f"python{version}")
     if python is None or subprocess.run([python, "-V"], env=env, capture_output=True).returncode:
         return None
     site = CACHE / f"{name}-{checksum(pins.encode())[:8]}"
@@ -122,8 +130,8 @@ def make_files(folder: Path) -> Path:
     from omnistereo_rigs.formats.write import export_rig
     from omnistereo_tools.commands.options import SAMPLE
     from omnistereo_tools.onnx.onnx_export import export_onnx
-    from omnistereo_tools.output.frame import FrameResult
-    from omnistereo_tools.output.mesh_export import linear
+    from omnistereo_tools.output.frame import FrameResult, equirectangular_depth
+    from omnistereo_tools.output.mesh_export import linear, make_mesh
     from omnistereo_tools.output.points import Limits
     from omnistereo_tools.record.recordings import write_video
     from omnistereo_tools.world.page import write_surface
@@ -134,9 +142,10 @@ def make_files(folder: Path) -> Path:
     rig = frame.rig
     export_rig(rig, folder)
     for n, image in enumerate(frame.images, 1):
-        picture = folder / f"images/cam{n}/0001.png"
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        write_image(picture, image)
+        # as COLMAP and as nerfstudio have it
+        make_folder(folder / f"images/cam{n}")
+        for name in (f"images/cam{n}/0001.png", f"cam{n}.png"):
+            write_image(folder / name, image)
     grid = SphereGrid(160, 40, (-45, 45), 32, 0.6)
     depth = estimate_depth(frame, grid, method="zncc+sgm")
     export_onnx(folder, rig, grid)
@@ -145,6 +154,8 @@ def make_files(folder: Path) -> Path:
     volume = cost_volume(SphereSweep(rig, grid), frame.images, network)
     result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
     result.write(folder)
+    result.export(folder / "scene.glb", None, folder / "whole.tiff", folder / "crops", True)
+    result._cloud.write(folder / "points_z.ply", "z")
     cloud = result._cloud
     count = 60
     places = random.normal(size=(count, 3)).astype(np.float32)
@@ -174,12 +185,15 @@ def make_files(folder: Path) -> Path:
         pixels=pixels.reshape(-1, 2)[chosen],
         rays=rays.reshape(-1, 3)[chosen],
         mask=within,
+        poses=np.array([np.column_stack([pose.R, pose.t]) for pose in rig.T_rig_cam]),
         pose2=np.column_stack([second.R, second.t]),
         depth=depth.depth,
+        whole=equirectangular_depth(depth),
         near=depth.valid & (depth.depth < 65),
         inverse=depth.inverse_depth,
         points=cloud.points,
         quality=cloud.confidence,
+        scene=make_mesh(depth, result.limits).vertices,
         vertices=surface.vertices,
         colors=surface.color,
         linear=linear(surface.color),

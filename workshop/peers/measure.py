@@ -6,7 +6,9 @@ field over which both agree. FILES is a folder of what we write, with what it mu
 """
 
 import json
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -319,6 +321,16 @@ def of_ds_msp(folder, truth):
             lambda uv, m=model: first(m.unproject(uv[None])),
             wide,
         )
+    if folder is None:
+        return
+    from ds_msp.io import kalibr
+
+    path = str(folder / "kalibr.yaml")
+    pixels, valid = kalibr.load_kalibr(path, "cam0").project(truth["rays"])
+    off = np.linalg.norm(pixels - truth["pixels"], axis=1)
+    file("kalibr.yaml", name, "pixels", off.max() if np.all(valid) else np.inf, 0.1)
+    off = np.abs(kalibr.load_kalibr_extrinsics(path, "cam1")[:3] - truth["pose2"]).max()
+    file("kalibr.yaml", name, "pose of camera 2, metres", off, 1e-9)
 
 
 def of_mrcal(folder, truth):
@@ -383,6 +395,13 @@ def of_open3d(folder, truth):
         np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max(),
         1e-6,
     )
+    turned = open3d.io.read_point_cloud(str(folder / "points_z.ply")).points
+    x, y, z = truth["points"].T
+    off = np.abs(np.asarray(turned) - np.column_stack([z, -x, -y])).max()
+    file("points.ply, --up z", name, "metres", off, 1e-6)
+    depth = np.asarray(open3d.io.read_image(str(folder / "data/depth_mm.png"))) / 1000
+    off = np.abs(depth - truth["depth"])[truth["near"]].max()
+    file("depth_mm.png", name, "metres", off, 0.00051)
     mesh = open3d.io.read_triangle_mesh(str(folder / "mesh.ply"))
     file(
         "mesh.ply",
@@ -500,6 +519,149 @@ def of_panoramas(folder, truth):
         "e2p, u, v",
         f"degrees, u to the right, v up; 0, 0 is column {seen[1, 1, 0]:.1f} of 360",
     )
+
+
+def of_blender(folder, truth):
+    import bpy
+
+    name = f"Blender {bpy.app.version_string}"
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    for model, order in (
+        ("FISHEYE_LENS_POLYNOMIAL", "k0 … k4 of -θ by the radius in mm, sensor width"),
+        ("FISHEYE_EQUIDISTANT", "angle of the width, and of the height"),
+        ("FISHEYE_EQUISOLID", "f and sensor width in mm, largest angle"),
+    ):
+        angles, pixels = _rendered_row(bpy, model)
+        lens(
+            name,
+            model,
+            order,
+            "halves",
+            lambda r, a=angles, p=pixels: [
+                np.interp(np.arctan2(r[0], r[2]), a, p, np.nan, np.nan),
+                CY,
+            ],
+            lambda uv, a=angles, p=pixels: ray(np.degrees(np.interp(uv[0], p, a, np.nan, np.nan))),
+            None if model.endswith("SOLID") else EQUIDISTANT,
+        )
+    pose(name, "camera.matrix_world", "camera → world, y up, looks along -z; metres")
+    if folder is None:
+        return
+    axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up: right, ahead, up
+
+    def imported(operator, path):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        operator(filepath=str(folder / path))
+        meshes = [item for item in bpy.data.objects if item.type == "MESH"]
+        places = [m.matrix_world @ v.co for m in meshes for v in m.data.vertices]
+        return meshes[0].data, np.array(places)
+
+    def column(attribute, key):
+        return np.array([getattr(item, key) for item in attribute.data])
+
+    mesh, places = imported(bpy.ops.import_scene.gltf, "mesh.glb")
+    colors = column(mesh.color_attributes[0], "color")[:, :3]
+    file("mesh.glb", name, "metres", np.abs(places - truth["vertices"] @ axes.T).max(), 1e-6)
+    file(
+        "mesh.glb", name, "linear light of 255", 255 * np.abs(colors - truth["linear"]).max(), 0.01
+    )
+    _, places = imported(bpy.ops.import_scene.gltf, "scene.glb")
+    off = [
+        getattr(places, end)(0) - getattr(truth["scene"] @ axes.T, end)(0) for end in ("min", "max")
+    ]
+    file("--mesh a.glb", name, "bounding box, metres", np.abs(off).max(), 1e-4)
+    mesh, places = imported(bpy.ops.wm.ply_import, "data/points.ply")
+    quality = column(mesh.attributes["quality"], "value")
+    file("points.ply", name, "metres", np.abs(places - truth["points"]).max(), 1e-6)
+    file("points.ply", name, "quality", np.abs(quality - truth["quality"]).max(), 1e-6)
+    image = bpy.data.images.load(str(folder / "whole.tiff"))
+    image.colorspace_settings.name = "Non-Color"
+    found = np.reshape(image.pixels[:], (*truth["whole"].shape, -1))[::-1, :, 0]
+    known = np.isfinite(truth["whole"])
+    file(
+        "--equirectangular",
+        name + " (Non-Color)",
+        "metres",
+        np.abs(found - truth["whole"])[known].max(),
+        1e-4,
+    )
+
+
+def _rendered_row(bpy, model):
+    """Return the angle from the axis of each pixel of a rendered row, and its place from CX."""
+    width, folder = 1201, Path(tempfile.mkdtemp())
+    scene, data = bpy.context.scene, bpy.data.cameras.new("eye")
+    scene.world = bpy.data.worlds.new("directions")
+    scene.world.use_nodes = True
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    halves = nodes.new("ShaderNodeVectorMath")
+    halves.operation = "MULTIPLY_ADD"
+    halves.inputs[1].default_value = halves.inputs[2].default_value = (0.5, 0.5, 0.5)
+    links.new(nodes.new("ShaderNodeTexCoord").outputs["Generated"], halves.inputs[0])
+    links.new(halves.outputs[0], nodes["Background"].inputs["Color"])
+    scene.camera = bpy.data.objects.new("eye", data)
+    scene.camera.rotation_euler = (np.pi / 2, 0, 0)  # ahead is y
+    scene.collection.objects.link(scene.camera)
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    scene.cycles.use_denoising, scene.cycles.filter_width = False, 0.01
+    scene.render.resolution_x, scene.render.resolution_y = width, 5
+    scene.render.filepath = str(folder / "row.exr")
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    data.type, data.panorama_type, data.sensor_width = "PANO", model, 36
+    data.fisheye_fov, data.fisheye_lens = width / F, 36 * F / width
+    for k in range(5):
+        setattr(data, f"fisheye_polynomial_k{k}", -width / F / 36 if k == 1 else 0.0)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    x, y, _ = 2 * np.reshape(image.pixels[:], (5, width, 4))[2, :, :3].T - 1
+    shutil.rmtree(folder)
+    seen = np.hypot(x, y) < 1.01  # what lies outside is black
+    return np.arctan2(x, y)[seen], (np.arange(width) - (width - 1) / 2 + CX)[seen]
+
+
+def of_nerfstudio(folder, truth):
+    from nerfstudio.data.dataparsers import nerfstudio_dataparser
+
+    if folder is None:
+        return
+    name = "nerfstudio 1.1.5"
+
+    def parsed(path):
+        config = nerfstudio_dataparser.NerfstudioDataParserConfig(
+            data=folder / path,
+            orientation_method="none",
+            center_method="none",
+            auto_scale_poses=False,
+            eval_mode="all",
+            load_3D_points=True,
+        )
+        return config.setup().get_dataparser_outputs("train")
+
+    flip = np.diag([1.0, -1, -1])
+    rig = parsed("transforms.json")
+    rays = rig.cameras.generate_rays(0).directions.numpy()
+    u, v = truth["pixels"].astype(int).T
+    found = rays[v, u]  # in the axes of the rig
+    cosine = (found * (truth["rays"] @ truth["poses"][0][:, :3].T)).sum(1).clip(-1, 1)
+    file(
+        "transforms.json",
+        name,
+        "rays within 85°, degrees",
+        np.degrees(np.arccos(cosine)).max(),
+        0.03,
+    )
+    crops = parsed("crops")
+    places = crops.cameras.camera_to_worlds[::5, :, 3].numpy() @ flip
+    points = crops.metadata["points3D_xyz"].numpy() @ flip
+    file(
+        "crops/",
+        name,
+        "places of the cameras, metres",
+        np.abs(places - truth["poses"][..., 3]).max(),
+        1e-6,
+    )
+    file("crops/", name, "points of splats, metres", np.abs(points - truth["points"]).max(), 1e-6)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from omnistereo_lib import SphereGrid
 from omnistereo_lib.pictures import read_image
+from omnistereo_tools.output.pictures import write_panorama
 from omnistereo_tools.world.page import write_surface
 from omnistereo_tools.world.surface import Surface
 from workshop.peers import __main__ as peers
@@ -42,7 +44,8 @@ def test_the_page_has_thirty_lenses_and_no_file_that_is_read_wrongly():
     assert len(rows) >= 20 and all(float(row[-2]) <= float(row[-1].strip(" |")) for row in rows)
 
 
-SHOW = """<!doctype html><body style="margin:0"><script type="importmap">
+PAGES = {
+    "mesh": """<script type="importmap">
 {"imports": {"three": "./three/build/three.module.js", "three/addons/": "./three/examples/jsm/"}}
 </script><script type="module">
 import * as THREE from "three";
@@ -59,37 +62,79 @@ camera.aspect = 1.5;
 camera.updateProjectionMatrix();
 renderer.render(scene, camera);
 document.body.dataset.drawn = "yes";
-</script>"""
+</script>""",
+    "pannellum": """<link rel="stylesheet" href="pannellum/build/pannellum.css">
+<script src="pannellum/build/pannellum.js"></script><div id="show" style="height:200px"></div><script>
+const viewer = pannellum.viewer("show", {
+  type: "equirectangular", panorama: "panorama.jpg", autoLoad: true, showControls: false,
+  hfov: 50, yaw: 60, pitch: Number(location.hash.slice(1))});
+viewer.on("load", () => setTimeout(() => document.body.dataset.drawn = "yes", 500));
+</script>""",
+    "photo-sphere-viewer": """<link rel="stylesheet" href="core/index.css">
+<script type="importmap">{"imports": {"three": "./three/build/three.module.js"}}</script>
+<div id="show" style="height:200px"></div><script type="module">
+import {Viewer} from "./core/index.module.js";
+const viewer = new Viewer({
+  container: "show", panorama: "panorama.jpg", navbar: false, defaultYaw: "60deg",
+  defaultPitch: `${location.hash.slice(1)}deg`});
+viewer.addEventListener("ready", () => setTimeout(() => document.body.dataset.drawn = "yes", 500));
+</script>""",
+}
+NEEDED = {
+    "mesh": ["three@0.180.0"],
+    "pannellum": ["pannellum@2.5.7"],
+    "photo-sphere-viewer": ["@photo-sphere-viewer/core@5.15.1", "three@0.185.1"],
+}
+
+
+def seen(page, kind, folder, fragment):
+    """What a page shows, (200, 300, 3), served beside a file and the packages that it needs."""
+    if shutil.which("npm") is None:
+        pytest.skip("npm, which fetches the viewers, is not installed")
+    for package in NEEDED[kind]:
+        pack = ["npm", "pack", "--silent", package]
+        done = subprocess.run(pack, cwd=folder, capture_output=True, text=True, check=True)
+        subprocess.run(["tar", "xf", done.stdout.strip()], cwd=folder, check=True)
+        (folder / "package").rename(folder / package.rsplit("@", 1)[0].split("/")[-1])
+    body = f'<!doctype html><body style="margin:0">{PAGES[kind]}'
+    (folder / "page.html").write_text(body)
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=folder)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page.goto(f"http://127.0.0.1:{server.server_port}/page.html#{fragment}")
+        page.wait_for_selector("body[data-drawn]")
+        page.screenshot(path=str(folder / "shot.png"))
+        server.shutdown()
+    return read_image(folder / "shot.png").astype(int)
 
 
 @pytest.mark.nightly
 @pytest.mark.browser
-@pytest.mark.parametrize("light", ["", "#light"], ids=["dark", "lit"])
+@pytest.mark.parametrize("light", ["", "light"], ids=["dark", "lit"])
 def test_a_mesh_looks_as_its_photographs_do_in_three(tmp_path, open_page, light):
     """Three walls, each of one colour, from the rig's place, with light and without."""
-    if shutil.which("npm") is None:
-        pytest.skip("npm, which fetches three.js, is not installed")
-    pack = ["npm", "pack", "--silent", "three@0.180.0"]
-    archive = subprocess.run(pack, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    subprocess.run(["tar", "xf", archive.strip()], cwd=tmp_path, check=True)
-    (tmp_path / "package").rename(tmp_path / "three")
     colors = np.array([[200, 40, 20], [90, 90, 90], [12, 60, 250]], np.float32)
-    corners = [[-9, -3, 5], [-1, -3, 5], [-1, 3, 5], [-9, 3, 5]]
-    wall = np.array(corners)
+    wall = np.array([[-9, -3, 5], [-1, -3, 5], [-1, 3, 5], [-9, 3, 5]])
     places = np.concatenate([wall + np.array([8 * k - 3, 0, 0]) for k in range(3)])
     faces = np.concatenate([np.array([[0, 2, 1], [0, 3, 2]]) + 4 * k for k in range(3)])
     surface = Surface(places.astype(np.float32), faces, colors.repeat(4, 0))
     write_surface(tmp_path, surface)
-    (tmp_path / "page.html").write_text(SHOW)
-    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=tmp_path)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        page = open_page(300, 200)
-        page.goto(f"http://127.0.0.1:{server.server_port}/page.html{light}")
-        page.wait_for_selector("body[data-drawn]")
-        page.screenshot(path=str(tmp_path / "shot.png"))
-        server.shutdown()
-    shot = read_image(tmp_path / "shot.png").astype(int)
+    shot = seen(open_page(300, 200), "mesh", tmp_path, light)
     # Left, ahead and right, as the rig has them.
     for column, color in zip((30, 150, 270), colors, strict=True):
         assert np.abs(shot[100, column] - color).max() <= 2
+
+
+@pytest.mark.nightly
+@pytest.mark.browser
+@pytest.mark.parametrize("viewer", ["pannellum", "photo-sphere-viewer"])
+@pytest.mark.parametrize("up", [30, -30])
+def test_viewers_show_a_part_of_the_sphere_where_it_is(tmp_path, open_page, viewer, up):
+    """Red grows downwards by two a degree, green to the right by one for two."""
+    grid = SphereGrid(360, 100, (-60, 40))
+    down, right = np.meshgrid(np.arange(-59.5, 40), np.arange(-179.5, 180), indexing="ij")
+    panorama = np.stack([128 + 2 * down, 128 + right / 2, 0 * down], -1)
+    write_panorama(tmp_path / "panorama.jpg", panorama.round().astype(np.uint8), grid)
+    shot = seen(open_page(300, 200), viewer, tmp_path, up)
+    red, green, _ = shot[95:105, 145:155].mean((0, 1))
+    assert abs((red - 128) / 2 + up) < 1.5 and abs(2 * (green - 128) - 60) < 3
