@@ -18,7 +18,8 @@ from omnistereo_lib.files import checksum, make_folder, write_text
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "book/conventions.md"
 CACHE = ROOT / "out/peers"
-# Name → the function of measure.py, the pinned packages, and the Python that has wheels of them.
+# Name → the function of measure.py, the pinned packages, and the Python that has wheels of them;
+# "ours" has torch.
 PROGRAMS = {
     "pycolmap": ("pycolmap", "pycolmap==4.2.1", "3.11"),
     "opencv-4": ("opencv", "opencv-contrib-python-headless==4.14.0.94", "3.11"),
@@ -41,9 +42,11 @@ PROGRAMS = {
     "openvino": ("openvino", "openvino==2026.4.1", "3.11"),
     "tract": ("tract", "tract==0.23.9 numpy==2.4.6", "3.11"),
     "py360convert": ("panoramas", "py360convert==1.0.4", "3.11"),
+    "kornia": ("kornia", "kornia==0.9.0 kornia_rs==0.2.0 --no-deps", "ours"),
+    "rerun": ("rerun", "rerun-sdk==0.41.0", "3.11"),
     "blender": ("blender", "bpy==5.0.1", "3.11"),
     "nerfstudio": (
-        "nerfstudio",  # its reader, which needs no GPU; torch is ours
+        "nerfstudio",  # its reader, which needs no GPU
         "open3d==0.20.0; nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
         "typeguard==4.6.1 docstring_parser==0.18.0 rich==15.0.0 viser==1.1.1 msgspec==0.22.0 "
         "websockets==17.4 zstandard==0.25.0 tensorboard==2.21.0 absl-py==2.5.1 --no-deps",

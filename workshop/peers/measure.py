@@ -6,7 +6,9 @@ field over which both agree. FILES is a folder of what we write, with what it mu
 """
 
 import json
+import os
 import shutil
+import site
 import sys
 import tempfile
 from pathlib import Path
@@ -521,6 +523,39 @@ def of_panoramas(folder, truth):
     )
 
 
+def of_kornia(folder, truth):
+    import kornia
+    import torch
+    from kornia.geometry.vector import Vector2, Vector3
+    from kornia.image import ImageSize
+    from kornia.sensors.camera.camera_model import KannalaBrandtK3
+
+    numbers = torch.tensor([F, F, CX, CY, 0, 0, 0, 0], dtype=torch.float64)
+    camera, one = KannalaBrandtK3(ImageSize(480, 640), numbers), torch.tensor(1.0)
+    lens(
+        f"kornia {kornia.__version__}",
+        "KannalaBrandtK3",
+        "fx fy cx cy k0 … k3",
+        "whole",
+        lambda r: camera.project(Vector3(torch.from_numpy(r))).data,
+        lambda uv: camera.unproject(Vector2(torch.from_numpy(uv)), one).data,
+        EQUIDISTANT,
+    )
+
+
+def of_rerun(folder, truth):
+    import rerun
+
+    matrix = rerun.Pinhole(focal_length=F, width=640, height=480).image_from_camera
+    u, v = matrix.as_arrow_array().to_pylist()[0][6:8]
+    pose(
+        f"rerun {rerun.__version__}",
+        "Pinhole, Transform3D",
+        f"principal point ({u:g}, {v:g}) of 640 × 480 unless given; child → parent, quaternion "
+        "x y z w",
+    )
+
+
 def of_blender(folder, truth):
     import bpy
 
@@ -665,6 +700,7 @@ def of_nerfstudio(folder, truth):
 
 
 if __name__ == "__main__":
+    site.addsitedir(os.environ["PYTHONPATH"])  # reads its .pth files, of which rerun has one
     given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
     numbers = None if given is None else dict(np.load(given / "truth.npz"))
     globals()[f"of_{sys.argv[1]}"](given, numbers)
