@@ -3,6 +3,7 @@ benchmarks.
 """
 
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,19 @@ from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation, quaternion_pose
 
 
-def trajectory_tum(poses: Mapping[int, Pose]) -> str:
-    """Return TUM's format: for each frame its number, the position, and the unit quaternion x y z
-    w.
+def trajectory_tum(poses: Mapping[int, Pose], times: Mapping[int, int] | None = None) -> str:
+    """Return TUM's format: for each frame its number, or with `times` in ns its time in seconds,
+    the position, and the unit quaternion x y z w.
     """
+    stamp = "frame" if times is None else "seconds"
     lines = [
-        "# frame tx ty tz qx qy qz qw: rig -> world, metres; x right, y down, z forward in the"
+        f"# {stamp} tx ty tz qx qy qz qw: rig -> world, metres; x right, y down, z forward in the"
         " first frame"
     ]
     for number, pose in poses.items():
+        first = str(number) if times is None else f"{Decimal(times[number]).scaleb(-9):.9f}"
         values = [*pose.t, *quaternion_from_rotation(pose.R)]
-        lines.append(" ".join([str(number), *(f"{value:.9f}" for value in values)]))
+        lines.append(" ".join([first, *(f"{value:.9f}" for value in values)]))
     return "\n".join(lines) + "\n"
 
 

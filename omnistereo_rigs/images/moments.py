@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from statistics import median
@@ -234,6 +234,8 @@ class Matched:
     spread: int = 0  #: by how much the times of one moment differ at most, ns
     step: int = 0  #: the time between pictures of the fastest camera, ns
     shared: bool = False  #: whether all state times by one clock
+    #: number in the first camera → when it was taken, ns; none where they are only counted
+    times: dict[int, int] = field(default_factory=dict)
 
 
 def match_moments(cameras: Sequence[Moments], late: Sequence[int] = ()) -> Matched:
@@ -266,7 +268,8 @@ def match_moments(cameras: Sequence[Moments], late: Sequence[int] = ()) -> Match
         for one, found in zip(cameras, near, strict=True)
     ]
     spread = max((max(one) - min(one) for one in moments), default=0)
-    return Matched(pairs, spread, step, all(one.shared for one in cameras))
+    taken = dict(zip(cameras[0].numbers, cameras[0].times or (), strict=True))
+    return Matched(pairs, spread, step, all(one.shared for one in cameras), taken)
 
 
 def _from_zero(one: Moments, late: int, cameras: Sequence[Moments]) -> list[int]:

@@ -161,6 +161,8 @@ def _write(
     )
     page = world_page(surface, poses, number, before, after, frames.grid)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
+    if (times := frames.times) and times.keys() >= poses.keys():
+        texts["trajectory_seconds.txt"] = trajectory_tum(poses, times)
     for name, text in texts.items():
         write_text(out / name, text)
     frames.link(out)

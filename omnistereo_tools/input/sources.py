@@ -6,7 +6,7 @@ import json
 import os
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -193,6 +193,7 @@ class Recording:
     step: int = 0  #: the time between two frames, ns; 0 where they are only counted
     late: tuple[int, ...] = ()  #: by how much the times of each camera are late, ns
     shared: bool = False  #: whether all cameras state times by one clock
+    times: dict[int, int] = field(default_factory=dict)  #: of frames, ns, of the first camera
 
     @classmethod
     def open(
@@ -239,6 +240,7 @@ class Recording:
         identity = checksum(content.encode())[:16]
         apart = matched.step if matched else 0
         shared = matched is not None and matched.shared
+        times = {n: matched.times[n] for n in chosen} if matched and matched.times else {}
         return cls(
             tuple(sources),
             chosen_frames,
@@ -249,6 +251,7 @@ class Recording:
             apart,
             late,
             shared,
+            times,
         )
 
     @property

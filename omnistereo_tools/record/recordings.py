@@ -11,6 +11,8 @@ OUT/
   poses/00001.json                  of a frame whose cameras stood otherwise, as --follow has found:
                                     its poses
   recording.json                    how the depth was computed, and its provenance
+  times.json                        for each frame when it was taken, ns, where pictures or videos
+                                    say so
   pictures.json                     for each frame, checksums of the pictures that its depth was
                                     computed from
   video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with
@@ -67,6 +69,7 @@ _PNG_STEPS = 65500
 OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
 PICTURES = "pictures.json"
+TIMES = "times.json"
 _SAMPLE = 4096  # bytes
 # What browsers play, at a quality that cannot be told from the pictures.
 CODECS = {
@@ -231,6 +234,9 @@ class DepthWriter:
             str(number): marks for number, marks in self._marks.items()
         }
         write_text(self.out / PICTURES, json.dumps(marks) + "\n")
+        if own := {str(number): time for number, time in self.recording.times.items()}:
+            times = read_facts(self.out / TIMES) | own
+            write_text(self.out / TIMES, json.dumps(times) + "\n")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""

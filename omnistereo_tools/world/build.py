@@ -4,6 +4,8 @@ refined depth.
 RECORDING/world/
   trajectory.txt                      for each frame its number, and the pose rig → world in TUM's
                                       format, metres
+  trajectory_seconds.txt              the same with times for numbers, where the recording states
+                                      them
   mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
   omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the
                                       images: a data set
@@ -48,7 +50,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
-from omnistereo_tools.record.recordings import SETTINGS
+from omnistereo_tools.record.recordings import SETTINGS, TIMES
 from omnistereo_tools.world.fusion import View, Volume
 from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_step
 from omnistereo_tools.world.refine import mix, moving_rays
@@ -129,6 +131,12 @@ class RecordedFrames:
             sums.append(checksum(content))
             channels = max(channels, 1 if picture.mode in ("1", "L", "LA", "I;16", "I;16B") else 3)
         return checksum(" ".join(sums).encode())[:16], channels
+
+    @property
+    def times(self) -> dict[int, int]:
+        """When each frame was taken, ns; nothing where that is not known."""
+        stored = read_facts(self.folder / TIMES)
+        return {int(n): ns for n, ns in stored.items() if n.isdecimal() and isinstance(ns, int)}
 
     def confidence_path(self, frame: Frame) -> Path:
         """Return where the confidence of a frame is."""

@@ -512,6 +512,8 @@ def test_videos_of_unequal_rates_are_matched_by_time(tmp_path, rate, apart):
         for source in found.sources
     ]
     assert np.abs(np.subtract(*times)).max() <= apart / 10 + 1
+    stated = [found.times[number] / 1e7 for number in found.frames]
+    assert np.ptp(np.subtract(stated, times[0])) <= 1  # hundredths of a second
 
 
 @pytest.mark.parametrize("unit", [1, 1000], ids=["ns", "µs"])
@@ -530,6 +532,7 @@ def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
     }
     matched = [found.sources[1].files[key].stem for key in found.frames.values()]
     assert matched == [str(t) for t in late]
+    assert found.times == {t: t * unit for t in found.frames}
 
 
 def test_a_picture_is_of_one_moment_only(tmp_path):

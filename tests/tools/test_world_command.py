@@ -28,6 +28,7 @@ def recording(tmp_path_factory):
     for kind in ("depth_estimate_160", "confidence_160"):
         (folder / kind).mkdir(parents=True)
     (folder / "recording.json").write_text(json.dumps(data))
+    (folder / "times.json").write_text(json.dumps({str(n): n * 10**8 for n in (1, 2, 3)}))
     osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6), folder / "config.yaml")
     for number, place in enumerate(PLACES, 1):
         moved = rig.transformed(osl.Pose(np.eye(3), place))
@@ -63,6 +64,8 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
     path = np.loadtxt(out / "trajectory.txt")
     np.testing.assert_array_equal(path[:, 0], [1, 2, 3])
     np.testing.assert_allclose(path[:, 1:4], PLACES, atol=0.01)
+    timed = np.loadtxt(out / "trajectory_seconds.txt")
+    np.testing.assert_allclose(timed, np.column_stack([[0.1, 0.2, 0.3], path[:, 1:]]), atol=1e-12)
     data = osl.load_dataset(out)
     truth = scene.distance(np.array(PLACES[1]), GRID.rays())
     assert np.median(np.abs(data.frame(2).inverse_depth * truth - 1)) < 0.02

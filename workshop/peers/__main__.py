@@ -170,6 +170,8 @@ def make_files(folder: Path) -> Path:
     write_surface(folder, surface)
     path = {n: Pose.from_vector([0, 0.1 * n, 0, 0.3 * n, 0, n]) for n in range(5)}
     write_text(folder / "trajectory.txt", trajectory_tum(path))
+    times = {n: 1_700_000_000_050_000_000 + n * 10**8 for n in path}
+    write_text(folder / "trajectory_seconds.txt", trajectory_tum(path, times))
     write_text(folder / "trajectory_kitti.txt", trajectory_kitti(path))
     shown = np.repeat(np.array([COLORS], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
     recording: Any = SimpleNamespace(

@@ -489,6 +489,10 @@ def of_evo(folder, truth):
     ):
         found = getattr(file_interface, read)(str(folder / path)).positions_xyz
         file(path, name, "metres", np.abs(found - truth["path"]).max(), 1e-6)
+    timed = file_interface.read_tum_trajectory_file(str(folder / "trajectory_seconds.txt"))
+    metres_a_second = 10 * np.linalg.norm(np.diff(truth["path"], axis=0), axis=1)
+    off = np.abs(timed.speeds - metres_a_second).max()
+    file("trajectory_seconds.txt", name, "speed, m/s", off, 1e-4)
 
 
 def of_pyav(folder, truth):

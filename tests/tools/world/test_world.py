@@ -171,6 +171,8 @@ def test_trajectories_are_in_the_formats_of_tum_and_kitti():
     assert row[0] == 8
     np.testing.assert_allclose(row[1:4], T_A_B.t, atol=1e-8)
     np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), T_A_B.R, atol=1e-8)
+    times = {3: 0, 8: 1403636579763555584}  # a float would lose the last three digits
+    assert trajectory_tum(poses, times).splitlines()[2].split()[0] == "1403636579.763555584"
     matrix = np.array(trajectory_kitti(poses).splitlines()[1].split(), float).reshape(3, 4)
     np.testing.assert_allclose(matrix, np.column_stack([T_A_B.R, T_A_B.t]), atol=1e-8)
 
