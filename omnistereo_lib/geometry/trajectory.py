@@ -1,6 +1,4 @@
-"""The path of a rig in a file: a pose for each frame, in the formats of the TUM RGB-D and KITTI
-benchmarks.
-"""
+"""The path of a rig in a file: a pose for each frame, in the format of the TUM RGB-D benchmark."""
 
 from collections.abc import Mapping
 from decimal import Decimal
@@ -27,12 +25,6 @@ def trajectory_tum(poses: Mapping[int, Pose], times: Mapping[int, int] | None = 
         values = [*pose.t, *quaternion_from_rotation(pose.R)]
         lines.append(" ".join([first, *(f"{value:.9f}" for value in values)]))
     return "\n".join(lines) + "\n"
-
-
-def trajectory_kitti(poses: Mapping[int, Pose]) -> str:
-    """Return KITTI's format: each pose as the three rows of [R | t]."""
-    rows = [np.hstack([pose.R, pose.t[:, None]]).ravel() for pose in poses.values()]
-    return "\n".join(" ".join(f"{value:.9e}" for value in row) for row in rows) + "\n"
 
 
 def read_trajectory(path: Path) -> dict[int, Pose]:

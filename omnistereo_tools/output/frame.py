@@ -36,7 +36,7 @@ from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, sharp_panorama, write_panorama
 from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import (
     depth_sentences,
@@ -245,7 +245,7 @@ class FrameResult:
             data / "inverse_depth.png",
             ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),
         )
-        write_image(data / "panorama.jpg", self._colors)
+        write_panorama(data / "panorama.jpg", self._colors, grid)
         write_image(data / "depth_mm.png", in_millimetres(depth.depth))
         self._cloud.write(data / "points.ply")
         save_rig(depth.sweep.rig, data / "rig.yaml")

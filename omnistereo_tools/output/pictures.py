@@ -5,13 +5,16 @@ points from outside.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama, finer_index
@@ -55,6 +58,13 @@ def faded(
     return (colors + (_FADE * doubtful[..., None]) * (np.float32(towards) - colors)).astype(
         np.uint8
     )
+
+
+_GPANO = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
+    'syntax-ns#"><rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/'
+    'panorama/" GPano:ProjectionType="equirectangular" {}/></rdf:RDF></x:xmpmeta>'
+)
 
 
 @dataclass(frozen=True)
@@ -156,6 +166,25 @@ def draw_frame(
     line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
     _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
     return np.vstack([panorama[:height, :width], colors[:height, :width], strip, line])
+
+
+def write_panorama(path: Path, image: NDArray[Any], grid: SphereGrid) -> None:
+    """Write a panorama as JPEG, with the part of the sphere that it shows for 360° viewers (GPano),
+    without a heading, on which viewers disagree.
+    """
+    write_image(path, image)
+    (low, high), (height, width) = grid.phi_deg, grid.shape
+    whole = round(height * 180 / (high - low))
+    sizes = {"FullPanoWidth": width, "FullPanoHeight": whole, "CroppedAreaImageWidth": width}
+    sizes |= {"CroppedAreaImageHeight": height, "CroppedAreaLeft": 0}
+    sizes |= {"CroppedAreaTop": round((low + 90) / 180 * whole)}
+    tags = " ".join(f'GPano:{name}Pixels="{value}"' for name, value in sizes.items())
+    segment = b"http://ns.adobe.com/xap/1.0/\0" + _GPANO.format(tags).encode()
+    jpeg = path.read_bytes()
+    with atomic_write(path) as temporary:
+        # behind the two bytes that begin each JPEG
+        head = jpeg[:2] + b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big")
+        temporary.write_bytes(head + segment + jpeg[2:])
 
 
 def finer(depth: Depth, width: int) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scene
 import tifffile
+from PIL import Image
 
 import omnistereo_lib as osl
 from omnistereo_lib.pictures import read_pixels, write_image
@@ -192,8 +193,12 @@ def test_masks_beside_the_images(rig, tmp_path):
 
 
 def test_files_for_other_programs(written, depth):
-    """Nodata where nothing is known, whole millimetres."""
+    """Nodata where nothing is known, whole millimetres, the part of the sphere that is shown."""
     data = written / "data"
+    with Image.open(data / "panorama.jpg") as picture:
+        tags = picture.getxmp()["xmpmeta"]["RDF"]["Description"]
+    rows = [int(tags[f"{name}Pixels"]) for name in ("FullPanoHeight", "CroppedAreaTop")]
+    assert rows == [80, round((depth.grid.phi_deg[0] + 90) / 180 * 80)]
     for name in ("inverse_depth", "confidence", "trust"):
         with tifffile.TiffFile(data / f"{name}.tiff") as file:
             assert file.pages[0].tags[42113].value == "nan"

@@ -47,7 +47,7 @@ PROGRAMS = {
     "blender": ("blender", "bpy==5.0.1", "3.11"),
     "nerfstudio": (
         "nerfstudio",  # its reader, which needs no GPU
-        "open3d==0.20.0; nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
+        "nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
         "typeguard==4.6.1 docstring_parser==0.18.0 rich==15.0.0 viser==1.1.1 msgspec==0.22.0 "
         "websockets==17.4 zstandard==0.25.0 tensorboard==2.21.0 absl-py==2.5.1 --no-deps",
         "ours",
@@ -126,7 +126,7 @@ def make_files(folder: Path) -> Path:
     """Write one of each kind of file, and truth.npz with what they mean; return the folder."""
     from omnistereo_lib import SphereGrid, VolumeNet, cost_volume, estimate_depth, load_dataset
     from omnistereo_lib.geometry.pose import Pose
-    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
+    from omnistereo_lib.geometry.trajectory import trajectory_tum
     from omnistereo_lib.pictures import write_image
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_lib.stereo.volumenet import local_mean
@@ -157,8 +157,7 @@ def make_files(folder: Path) -> Path:
     volume = cost_volume(SphereSweep(rig, grid), frame.images, network)
     result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
     result.write(folder)
-    result.export(folder / "scene.glb", None, folder / "whole.tiff", folder / "crops", True)
-    result._cloud.write(folder / "points_z.ply", "z")
+    result.export(folder / "scene.glb", folder / "whole.tiff")
     cloud = result._cloud
     count = 60
     places = random.normal(size=(count, 3)).astype(np.float32)
@@ -172,7 +171,6 @@ def make_files(folder: Path) -> Path:
     write_text(folder / "trajectory.txt", trajectory_tum(path))
     times = {n: 1_700_000_000_050_000_000 + n * 10**8 for n in path}
     write_text(folder / "trajectory_seconds.txt", trajectory_tum(path, times))
-    write_text(folder / "trajectory_kitti.txt", trajectory_kitti(path))
     shown = np.repeat(np.array([COLORS], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
     recording: Any = SimpleNamespace(
         recording=SimpleNamespace(frames=range(3), fps=10.0), picture=lambda number: shown
@@ -190,7 +188,7 @@ def make_files(folder: Path) -> Path:
         pixels=pixels.reshape(-1, 2)[chosen],
         rays=rays.reshape(-1, 3)[chosen],
         mask=within,
-        poses=np.array([np.column_stack([pose.R, pose.t]) for pose in rig.T_rig_cam]),
+        rotation1=rig.T_rig_cam[0].R,
         pose2=np.column_stack([second.R, second.t]),
         depth=depth.depth,
         whole=equirectangular_depth(depth),

@@ -397,10 +397,6 @@ def of_open3d(folder, truth):
         np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max(),
         1e-6,
     )
-    turned = open3d.io.read_point_cloud(str(folder / "points_z.ply")).points
-    x, y, z = truth["points"].T
-    off = np.abs(np.asarray(turned) - np.column_stack([z, -x, -y])).max()
-    file("points.ply, --up z", name, "metres", off, 1e-6)
     depth = np.asarray(open3d.io.read_image(str(folder / "data/depth_mm.png"))) / 1000
     off = np.abs(depth - truth["depth"])[truth["near"]].max()
     file("depth_mm.png", name, "metres", off, 0.00051)
@@ -478,17 +474,13 @@ def of_evo(folder, truth):
     name = "evo 1.38.1"
     pose(
         name,
-        "TUM, KITTI",
-        "camera → world, metres; quaternion x y z w in TUM's file, w x y z in Python",
+        "TUM",
+        "camera → world, metres; quaternion x y z w in the file, w x y z in Python",
     )
     if folder is None:
         return
-    for path, read in (
-        ("trajectory.txt", "read_tum_trajectory_file"),
-        ("trajectory_kitti.txt", "read_kitti_poses_file"),
-    ):
-        found = getattr(file_interface, read)(str(folder / path)).positions_xyz
-        file(path, name, "metres", np.abs(found - truth["path"]).max(), 1e-6)
+    found = file_interface.read_tum_trajectory_file(str(folder / "trajectory.txt")).positions_xyz
+    file("trajectory.txt", name, "metres", np.abs(found - truth["path"]).max(), 1e-6)
     timed = file_interface.read_tum_trajectory_file(str(folder / "trajectory_seconds.txt"))
     metres_a_second = 10 * np.linalg.norm(np.diff(truth["path"], axis=0), axis=1)
     off = np.abs(timed.speeds - metres_a_second).max()
@@ -666,23 +658,17 @@ def of_nerfstudio(folder, truth):
         return
     name = "nerfstudio 1.1.5"
 
-    def parsed(path):
-        config = nerfstudio_dataparser.NerfstudioDataParserConfig(
-            data=folder / path,
-            orientation_method="none",
-            center_method="none",
-            auto_scale_poses=False,
-            eval_mode="all",
-            load_3D_points=True,
-        )
-        return config.setup().get_dataparser_outputs("train")
-
-    flip = np.diag([1.0, -1, -1])
-    rig = parsed("transforms.json")
-    rays = rig.cameras.generate_rays(0).directions.numpy()
+    config = nerfstudio_dataparser.NerfstudioDataParserConfig(
+        data=folder / "transforms.json",
+        orientation_method="none",
+        center_method="none",
+        auto_scale_poses=False,
+        eval_mode="all",
+    )
+    cameras = config.setup().get_dataparser_outputs("train").cameras
     u, v = truth["pixels"].astype(int).T
-    found = rays[v, u]  # in the axes of the rig
-    cosine = (found * (truth["rays"] @ truth["poses"][0][:, :3].T)).sum(1).clip(-1, 1)
+    found = cameras.generate_rays(0).directions.numpy()[v, u]  # in the axes of the rig
+    cosine = (found * (truth["rays"] @ truth["rotation1"].T)).sum(1).clip(-1, 1)
     file(
         "transforms.json",
         name,
@@ -690,17 +676,6 @@ def of_nerfstudio(folder, truth):
         np.degrees(np.arccos(cosine)).max(),
         0.03,
     )
-    crops = parsed("crops")
-    places = crops.cameras.camera_to_worlds[::5, :, 3].numpy() @ flip
-    points = crops.metadata["points3D_xyz"].numpy() @ flip
-    file(
-        "crops/",
-        name,
-        "places of the cameras, metres",
-        np.abs(places - truth["poses"][..., 3]).max(),
-        1e-6,
-    )
-    file("crops/", name, "points of splats, metres", np.abs(points - truth["points"]).max(), 1e-6)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import scene
 from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
-from omnistereo_lib.geometry.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
+from omnistereo_lib.geometry.trajectory import read_trajectory, trajectory_tum
 from omnistereo_rigs.images.features import FeatureFinder
 from omnistereo_tools.world.build import jumps_past_others
 from omnistereo_tools.world.fusion import View, Volume, bytes_needed, touched_blocks
@@ -165,7 +165,7 @@ def test_a_ray_keeps_its_own_depth_where_something_moves_near_the_rig_and_where_
     np.testing.assert_allclose(mix(own, fused_depth, moving), expected, rtol=1e-6)
 
 
-def test_trajectories_are_in_the_formats_of_tum_and_kitti():
+def test_a_trajectory_is_in_the_format_of_tum():
     poses = {3: osl.Pose.identity(), 8: T_A_B}
     row = np.array(trajectory_tum(poses).splitlines()[2].split(), float)
     assert row[0] == 8
@@ -173,8 +173,6 @@ def test_trajectories_are_in_the_formats_of_tum_and_kitti():
     np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), T_A_B.R, atol=1e-8)
     times = {3: 0, 8: 1403636579763555584}  # a float would lose the last three digits
     assert trajectory_tum(poses, times).splitlines()[2].split()[0] == "1403636579.763555584"
-    matrix = np.array(trajectory_kitti(poses).splitlines()[1].split(), float).reshape(3, 4)
-    np.testing.assert_allclose(matrix, np.column_stack([T_A_B.R, T_A_B.t]), atol=1e-8)
 
 
 def test_a_trajectory_is_read_as_it_was_written_and_a_damaged_one_refused(tmp_path):
