@@ -22,6 +22,7 @@ left Jacobian of the rotation (Barfoot 2017, Section 7.1.5).
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
@@ -59,15 +60,22 @@ class _UnpackedParams:
 class BundleProblem:
     """The least-squares problem: residuals and their analytic sparse Jacobian.
 
+    It is made once for some observations, whatever is adjusted to them.
+
     Args:
-        initial: Initial values; its sizes are those of the problem.
+        initial: Its sizes are those of the problem.
     """
 
     def __init__(self, initial: CalibrationParams, observations: Observations) -> None:
         self.initial, self.observations = initial, observations
-        self.degree = initial.intrinsics[0].degree
+        self.board_points = observations.points
+        self.powers = powers_of(initial.intrinsics[0].degree)
         self.scale = np.array([i.scale for i in initial.intrinsics])[observations.camera]
         self._columns, self._indptr = self._pattern()
+
+    def distances(self, params: CalibrationParams) -> Floats:
+        """Return the reprojection error of each corner, shape (M,), px."""
+        return np.linalg.norm(self.residuals(params.to_vector()).reshape(-1, 2), axis=-1)
 
     def residuals(self, x: Floats) -> Floats:
         """Return predicted minus observed pixels, shape (2 M,): u, v of the first corner, then of
@@ -79,7 +87,7 @@ class BundleProblem:
     def _points(self, state: _UnpackedParams) -> tuple[Floats, Floats]:
         """Return the corners rotated into the rig frame, and in the camera frame, (M, 3) each."""
         camera, capture = self.observations.camera, self.observations.capture
-        rotated = np.einsum("mij,mj->mi", state.R_board[capture], self.observations.points)
+        rotated = np.einsum("mij,mj->mi", state.R_board[capture], self.board_points)
         in_rig = rotated + state.t_board[capture]
         return rotated, np.einsum("mij,mj->mi", state.R_cam[camera], in_rig) + state.t_cam[camera]
 
@@ -112,10 +120,9 @@ class BundleProblem:
 
     def _polynomial(self, alpha: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
         """Return f(r), f'(r) and ∂f/∂α_k = s (r/s)^k, shapes (M,), (M,), (M, degree)."""
-        powers = powers_of(self.degree)
         ratio = (r / self.scale)[:, None]
-        basis = ratio**powers
-        slope = (alpha[:, 1:] * powers[1:] * ratio ** (powers[1:] - 1)).sum(axis=1)
+        basis = ratio**self.powers
+        slope = (alpha[:, 1:] * self.powers[1:] * ratio ** (self.powers[1:] - 1)).sum(axis=1)
         return self.scale * (alpha * basis).sum(axis=1), slope, self.scale[:, None] * basis
 
     def jacobian(self, x: Floats) -> csr_matrix:
@@ -142,7 +149,7 @@ class BundleProblem:
 
     def _pattern(self) -> tuple[Ints, Ints]:
         """Return columns and row pointers of the Jacobian; the pose of camera 1 has no columns."""
-        cameras, width = len(self.initial.intrinsics), NUM_AFFINE + self.degree
+        cameras, width = len(self.initial.intrinsics), NUM_AFFINE + len(self.powers)
         first_pose = cameras * width
         first_capture = first_pose + 6 * (cameras - 1)
         intrinsics = self.observations.camera[:, None] * width + np.arange(width)
@@ -184,62 +191,72 @@ class BundleProblem:
         d_alpha = (A @ np.stack([px, py], -1)[:, :, None]) * r_alpha[:, None, :]
         return np.concatenate([d_affine, d_alpha], axis=-1), A @ d_m
 
+    # Its factorisations are small: on a busy machine two BLAS threads take four times as long.
+    @threadpool_limits.wrap(limits=1, user_api="blas")
+    def adjust(
+        self,
+        initial: CalibrationParams,
+        inliers: NDArray[np.bool_] | None = None,
+        loss: Literal["linear", "soft_l1"] = "linear",
+        fixed: Literal["nothing", "rig"] = "nothing",
+        steps: int = 50,
+        tolerance: float = 1e-9,
+    ) -> CalibrationParams:
+        """Minimise the reprojection error from initial values that are near enough.
 
-# Its factorisations are small: on a busy machine two BLAS threads take four times as long as one.
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def bundle_adjust(
-    initial: CalibrationParams,
-    observations: Observations,
-    loss: Literal["linear", "soft_l1"] = "linear",
-    fixed: Literal["nothing", "rig"] = "nothing",
-    steps: int = 50,
-    tolerance: float = 1e-9,
-) -> CalibrationParams:
-    """Minimise the reprojection error from initial values that are near enough.
+        Args:
+            inliers: Corners that count, shape (M,). None: all.
+            loss: Squares, or robust beyond one pixel.
+            fixed: "rig": only the poses of the captures are adjusted.
+            steps: Maximum number of evaluations.
+            tolerance: Relative decrease of the cost at which to stop.
+        """
+        rows = slice(None) if inliers is None else np.flatnonzero(np.repeat(inliers, 2))
+        x0 = initial.to_vector()
+        free = slice(initial.num_rig_params if fixed == "rig" else initial.num_fixed, None)
+        # In whitened unknowns y the columns of the Jacobian are orthonormal initially, and SciPy's
+        # iterative solver is done in ten products instead of several hundred.
+        P = _whitening(self.jacobian(x0)[rows, free])
 
-    Args:
-        loss: Squares, or robust beyond one pixel.
-        fixed: "rig": only the poses of the captures are adjusted.
-        steps: Maximum number of evaluations.
-        tolerance: Relative decrease of the cost at which to stop.
-    """
-    bundle = BundleProblem(initial, observations)
-    x0 = initial.to_vector()
-    free = slice(initial.num_rig_params if fixed == "rig" else initial.num_fixed, None)
-    # In whitened unknowns y the columns of the Jacobian are orthonormal initially, and SciPy's
-    # iterative solver is done in ten products instead of several hundred.
-    P = _whitening(bundle.jacobian(x0)[:, free])
+        def product(A: Floats, v: Floats) -> Floats:
+            # not @: on arrays this small BLAS threading costs more than it saves
+            return np.einsum("ij,j->i", A, v.ravel())
 
-    def product(A: Floats, v: Floats) -> Floats:
-        # not @: on arrays this small BLAS threading costs more than it saves
-        return np.einsum("ij,j->i", A, v.ravel())
+        def unknowns(y: Floats) -> Floats:
+            x = x0.copy()
+            x[free] += product(P, y)
+            return x
 
-    def unknowns(y: Floats) -> Floats:
-        x = x0.copy()
-        x[free] += product(P, y)
-        return x
+        def jacobian(y: Floats) -> LinearOperator:
+            J = self.jacobian(unknowns(y))[rows, free]
+            return LinearOperator(
+                J.shape, matvec=lambda v: J @ product(P, v), rmatvec=lambda u: product(P.T, J.T @ u)
+            )
 
-    def jacobian(y: Floats) -> LinearOperator:
-        J = bundle.jacobian(unknowns(y))[:, free]
-        return LinearOperator(
-            J.shape, matvec=lambda v: J @ product(P, v), rmatvec=lambda u: product(P.T, J.T @ u)
+        solution = least_squares(
+            lambda y: self.residuals(unknowns(y))[rows],
+            np.zeros(len(P)),
+            jac=jacobian,
+            # a first step that may take away all of the error
+            x_scale=np.linalg.norm(self.residuals(x0)[rows]) + 1e-12,
+            loss=loss,
+            tr_solver="lsmr",
+            # SciPy's loose default takes ten times as many steps
+            tr_options={"atol": 1e-9, "btol": 1e-9},
+            xtol=0.1 * tolerance,
+            ftol=tolerance,
+            max_nfev=steps,
         )
+        return initial.from_vector(unknowns(solution.x))
 
-    solution = least_squares(
-        lambda y: bundle.residuals(unknowns(y)),
-        np.zeros(len(P)),
-        jac=jacobian,
-        # a first step that may take away all of the error
-        x_scale=np.linalg.norm(bundle.residuals(x0)) + 1e-12,
-        loss=loss,
-        tr_solver="lsmr",
-        # SciPy's loose default takes ten times as many steps
-        tr_options={"atol": 1e-9, "btol": 1e-9},
-        xtol=0.1 * tolerance,
-        ftol=tolerance,
-        max_nfev=steps,
-    )
-    return initial.from_vector(unknowns(solution.x))
+
+def bundle_adjust(
+    initial: CalibrationParams, observations: Observations, **options: Any
+) -> tuple[CalibrationParams, Floats]:
+    """Return what `BundleProblem.adjust` finds, and the reprojection error of each corner, px."""
+    problem = BundleProblem(initial, observations)
+    params = problem.adjust(initial, **options)
+    return params, problem.distances(params)
 
 
 def _whitening(J: csr_matrix) -> Floats:
@@ -257,7 +274,10 @@ def _column_norms(J: csr_matrix) -> Floats:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def estimate_covariance(
-    params: CalibrationParams, observations: Observations, sigma: float
+    problem: BundleProblem,
+    params: CalibrationParams,
+    sigma: float,
+    inliers: NDArray[np.bool_] | None = None,
 ) -> Floats:
     """Return the covariance of intrinsics and rig for corner noise `sigma` (px), (num_rig_params,
     num_rig_params).
@@ -271,7 +291,9 @@ def estimate_covariance(
     Raises:
         numpy.linalg.LinAlgError: If the corners do not determine all unknowns.
     """
-    J = BundleProblem(params, observations).jacobian(params.to_vector())
+    capture = problem.observations.capture
+    kept = np.ones(len(capture), bool) if inliers is None else inliers
+    J, capture = problem.jacobian(params.to_vector())[np.repeat(kept, 2)], capture[kept]
     given, rig = params.num_fixed, params.num_rig_params
     covariance = np.zeros((rig, rig))
     if given == rig:
@@ -280,7 +302,7 @@ def estimate_covariance(
     scale = _column_norms(J)[given:rig]
     R: Any = np.zeros((0, rig - given))  # NumPy's stubs expect Q and R from each mode of qr
     for k in range(len(params.T_rig_board)):
-        rows = J[np.repeat(observations.capture == k, 2)]
+        rows = J[np.repeat(capture == k, 2)]
         of_rig, pose = (
             rows[:, given:rig].toarray() / scale,
             rows[:, rig + 6 * k : rig + 6 * (k + 1)].toarray(),

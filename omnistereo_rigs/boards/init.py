@@ -15,7 +15,6 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_rigs.boards.bundle import bundle_adjust
 from omnistereo_rigs.boards.params import CalibrationParams, Intrinsics, collect_observations
-from omnistereo_rigs.boards.solution import distances_of
 
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10°
 # (telephoto).
@@ -59,9 +58,11 @@ def initial_estimate(
         params = CalibrationParams(
             (intrinsics,), (Pose.identity(),), tuple(pose for pose, _ in planes[i])
         )
-        params = bundle_adjust(params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4)
+        params, distance = bundle_adjust(
+            params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4
+        )
         # In pixels, cut off at 10 so that wrong corners do not decide.
-        error = distances_of(params, observations).clip(max=10.0).mean()
+        error = distance.clip(max=10.0).mean()
         if error < least:
             best, least = params, error
         if least < _GOOD_PX:

@@ -25,7 +25,7 @@ from omnistereo_rigs.boards.params import (
 )
 from omnistereo_rigs.boards.report import CameraReport, RigReport, name_of
 from omnistereo_rigs.boards.single_camera import calibrate_corners, check_settings, read_views
-from omnistereo_rigs.boards.solution import Solution, distances_of
+from omnistereo_rigs.boards.solution import Solution
 
 # Radians between the directions of a corner in two cameras: rough poses are nearer than that, gross
 # errors are not.
@@ -147,8 +147,8 @@ def calibrate_rig(
         observations = collect_observations(
             [[row[k] for k in captures] for row in corners], board.points
         )
-        params = bundle_adjust(params, observations, loss="soft_l1", tolerance=1e-6)
-        bad = _bad_captures(params, observations, captures, single)
+        params, distance = bundle_adjust(params, observations, loss="soft_l1", tolerance=1e-6)
+        bad = _bad_captures(distance, observations, captures, single)
         if not bad:
             break
         rejected |= bad
@@ -367,7 +367,7 @@ def _resolve_board_ambiguity(
 
 
 def _bad_captures(
-    params: CalibrationParams,
+    distance: Floats,
     observations: Observations,
     captures: list[int],
     single: list[CameraReport],
@@ -375,7 +375,6 @@ def _bad_captures(
     """Return the captures that fit each camera, but the rig much worse than others of the same
     cameras do.
     """
-    distance = distances_of(params, observations)
     ratios: dict[tuple[int, ...], dict[int, float]] = {}
     reasons = {}
     for k, capture in enumerate(captures):

@@ -20,7 +20,7 @@ from omnistereo_rigs.boards.detect import detect_views
 from omnistereo_rigs.boards.init import estimate_poses, initial_estimate
 from omnistereo_rigs.boards.params import CalibrationParams, collect_observations
 from omnistereo_rigs.boards.report import CameraReport
-from omnistereo_rigs.boards.solution import OUTLIER, Solution, distances_of
+from omnistereo_rigs.boards.solution import OUTLIER, Solution
 
 # The degrees that cross-validation tries. Odd ones add little, and beyond 8 nothing was ever gained
 # (notebook 01 shows it).
@@ -37,6 +37,7 @@ _FEWEST_CORNERS = 6
 _FEW_VIEWS = 10
 # A view is rejected if its error is so many times that of the median view.
 _BAD_VIEW = 3.0
+_MISDETECTED = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
 # The same of its edge width. Sharp views of one camera differ by a tenth.
 _BLURRED = 1.5
 # In pixels: no hand brings a board back as near to where it was.
@@ -127,9 +128,11 @@ def calibrate_corners(
         params = params.with_degree(degree)
     else:
         params = estimate_poses(given, views, board.points)
-    params = bundle_adjust(params, collect_observations([views], board.points), loss="soft_l1")
+    observations = collect_observations([views], board.points)
+    params, distance = bundle_adjust(params, observations, loss="soft_l1")
     # What does not fit is rejected, and what fits but is blurred, too; the rest gives the solution.
-    bad = _bad_views(params, views, board.points)
+    typical = [np.median(distance[observations.capture == k]) for k in range(len(views))]
+    bad = _far_above_usual(typical, _BAD_VIEW, _MISDETECTED)
     if images is not None and isinstance(board, Checkerboard):
         bad |= _blurred_views(images, corners, board)
     good = [k for k in range(len(found)) if k not in bad]
@@ -323,8 +326,8 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
             collect_observations([[views[k] for k in part]], points) for part in (train, test)
         )
         # The camera from two thirds of the views.
-        fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
-        distance = distances_of(fitted, seen)
+        options = {"loss": "soft_l1", "tolerance": 1e-6}
+        fitted, distance = bundle_adjust(params.with_captures(train), seen, **options)
         # As far out as inliers reach, the polynomial has to be monotonic, or it is no camera.
         near = seen.pixels[distance <= OUTLIER * np.median(distance)]
         reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
@@ -338,25 +341,11 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         posed = CalibrationParams(
             fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board
         )
-        posed = bundle_adjust(posed, unseen, loss="soft_l1", fixed="rig", tolerance=1e-6)
-        distance = distances_of(posed, unseen)
+        distance = bundle_adjust(posed, unseen, fixed="rig", **options)[1]
         for k, view in enumerate(test):
             here = distance[unseen.capture == k]
             errors[view] = np.minimum(here, 3 * np.median(here)).mean()
     return errors
-
-
-def _bad_views(
-    params: CalibrationParams, views: Sequence[Floats], points: Floats
-) -> dict[int, str]:
-    """Return the views with several times the usual reprojection error, and why they are
-    rejected.
-    """
-    observations = collect_observations([views], points)
-    distance = distances_of(params, observations)
-    typical = np.array([np.median(distance[observations.capture == k]) for k in range(len(views))])
-    reason = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
-    return _far_above_usual(typical, _BAD_VIEW, reason)
 
 
 def _blurred_views(
@@ -368,12 +357,12 @@ def _blurred_views(
     found = (
         (a, b) for a, b in zip(images, corners, strict=True) if a is not None and b is not None
     )
-    widths = np.array([edge_width(image, view, board) for image, view in found])
+    widths = [edge_width(image, view, board) for image, view in found]
     reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
     return _far_above_usual(widths, _BLURRED, reason)
 
 
-def _far_above_usual(values: Floats, factor: float, reason: str) -> dict[int, str]:
+def _far_above_usual(values: Sequence[Any], factor: float, reason: str) -> dict[int, str]:
     usual = np.median(values)
     return {
         k: reason.format(value, usual) for k, value in enumerate(values) if value > factor * usual

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_rigs.boards.bundle import BundleProblem, bundle_adjust, estimate_covariance
+from omnistereo_rigs.boards.bundle import BundleProblem, estimate_covariance
 from omnistereo_rigs.boards.params import CalibrationParams, Observations
 from omnistereo_rigs.boards.report import CameraReport
 
@@ -20,18 +20,8 @@ from omnistereo_rigs.boards.report import CameraReport
 OUTLIER = 6.0 / 1.177
 
 
-def residuals_of(params: CalibrationParams, observations: Observations) -> Floats:
-    """Return predicted minus observed pixels, shape (M, 2)."""
-    return BundleProblem(params, observations).residuals(params.to_vector()).reshape(-1, 2)
-
-
-def distances_of(params: CalibrationParams, observations: Observations) -> Floats:
-    """Return the reprojection error of each corner, shape (M,), px."""
-    return np.linalg.norm(residuals_of(params, observations), axis=-1)
-
-
 def refine(
-    params: CalibrationParams, observations: Observations
+    problem: BundleProblem, params: CalibrationParams
 ) -> tuple[CalibrationParams, NDArray[np.bool_]]:
     """Minimise squares over the inliers of a robust fit: corners within six times the noise of
     their view.
@@ -39,16 +29,15 @@ def refine(
     Returns:
         inlier_mask: bool array, shape (M,)
     """
-    _, view = np.unique(
-        np.stack([observations.camera, observations.capture]), axis=1, return_inverse=True
-    )
-    params = bundle_adjust(params, observations, loss="soft_l1")
+    seen = problem.observations
+    _, view = np.unique(np.stack([seen.camera, seen.capture]), axis=1, return_inverse=True)
+    params = problem.adjust(params, loss="soft_l1")
     # The second round recovers inliers that outliers had biased in the first fit.
     for _ in range(2):
-        distance = distances_of(params, observations)
+        distance = problem.distances(params)
         typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
         inlier_mask = distance <= OUTLIER * np.maximum(typical[view], np.median(distance))
-        params = bundle_adjust(params, observations.select(inlier_mask))
+        params = problem.adjust(params, inlier_mask)
     return params, inlier_mask
 
 
@@ -58,6 +47,7 @@ class Solution:
 
     params: CalibrationParams
     observations: Observations  # all corners of the captures used
+    residuals: Floats  # predicted minus observed pixels, shape (M, 2)
     inlier_mask: NDArray[np.bool_]  # (M,), corners that the fit used; the others are outliers
     sigma_px: float  # noise of the corners in u and in v
     covariance: Floats  # of intrinsics and camera poses, (num_rig_params, num_rig_params)
@@ -68,23 +58,21 @@ class Solution:
 
         Raises an `OmnistereoError` if the corners do not determine all unknowns.
         """
-        params, inlier_mask = refine(params, observations)
-        inliers = observations.select(inlier_mask)
-        residuals = residuals_of(params, inliers)
+        problem = BundleProblem(params, observations)
+        params, inlier_mask = refine(problem, params)
+        residuals = problem.residuals(params.to_vector()).reshape(-1, 2)
+        inliers = residuals[inlier_mask]
         # The noise of one coordinate: √(Σ r² / (numbers - unknowns)).
-        sigma_px = float(
-            np.sqrt(
-                (residuals**2).sum() / max(residuals.size - params.num_params + params.num_fixed, 1)
-            )
-        )
+        free = max(inliers.size - params.num_params + params.num_fixed, 1)
+        sigma_px = float(np.sqrt((inliers**2).sum() / free))
         try:
-            covariance = estimate_covariance(params, inliers, sigma_px)
+            covariance = estimate_covariance(problem, params, sigma_px, inlier_mask)
         except np.linalg.LinAlgError as error:
             raise OmnistereoError(
                 "the corners do not determine all intrinsics and poses. Add views that differ in"
                 " tilt and position"
             ) from error
-        return cls(params, observations, inlier_mask, sigma_px, covariance)
+        return cls(params, observations, residuals, inlier_mask, sigma_px, covariance)
 
     def camera_report(
         self,
@@ -99,7 +87,7 @@ class Solution:
         """
         mine = self.observations.camera == i
         observed = self.observations.select(mine)
-        residuals = residuals_of(self.params, self.observations)[mine]
+        residuals = self.residuals[mine]
         rays = self.params.intrinsics[i].rays(observed.pixels)
         angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
         table = np.full((len(captures), len(self.observations.board_points), 5), np.nan)

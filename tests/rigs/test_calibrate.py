@@ -249,13 +249,13 @@ def test_errors_lie_within_the_predicted_covariance():
     state = CalibrationParams((truth,), (Pose.identity(),), tuple(poses))
     size, runs, noise = state.num_rig_params, 25, 0.1
     seen = collect_observations([exact], BOARD.points)
-    inverse = np.linalg.inv(estimate_covariance(state, seen, noise))
+    inverse = np.linalg.inv(estimate_covariance(BundleProblem(state, seen), state, noise))
     squares = []
     for _ in range(runs):
         noisy = collect_observations(
             [[uv + rng.normal(0, noise, uv.shape) for uv in exact]], BOARD.points
         )
-        error = bundle_adjust(state, noisy).to_vector()[:size] - state.to_vector()[:size]
+        error = bundle_adjust(state, noisy)[0].to_vector()[:size] - state.to_vector()[:size]
         squares.append(error @ inverse @ error)
     # The mean of 25 χ² values with 8 degrees of freedom is within 8 ± 4 · sqrt(16 / 25).
     assert abs(np.mean(squares) - size) < 4 * np.sqrt(2 * size / runs)

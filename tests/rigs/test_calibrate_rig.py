@@ -179,7 +179,8 @@ def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):
     width = len(first.vector)
     pixels = boards.CENTER + 200 * np.radians([[10.0], [50.0], [85.0], [100.0]]) * [0.8, 0.6]
 
-    J = BundleProblem(state, seen).jacobian(state.to_vector()).toarray()
+    problem = BundleProblem(state, seen)
+    J = problem.jacobian(state.to_vector()).toarray()
     scale = np.linalg.norm(J, axis=0)
     _, s, Vt = np.linalg.svd(J / scale, full_matrices=False)
     # what moves by one standard deviation, each for itself
@@ -188,6 +189,6 @@ def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):
     back = [Intrinsics(first.vector - step, SIZE).rays(pixels) for step in steps]
     expected = np.sqrt(sum(np.square((a - b) / 2) for a, b in zip(moved, back, strict=True)))
 
-    spread = estimate_covariance(state, seen, 1.0)[:width, :width]
+    spread = estimate_covariance(problem, state, 1.0)[:width, :width]
     found = standard_deviation(lambda v: Intrinsics(v, SIZE).rays(pixels), first.vector, spread)
     np.testing.assert_allclose(found, expected, rtol=1e-3)
