@@ -1,4 +1,4 @@
-"""Notebook 09: two clocks, how well images match, whose pairs are bad, shifts, how many spheres.
+"""Notebook 09: four clocks, how well images match, whose pairs are bad, shifts, and spheres.
 
 And `envelopes`, the faults that the notebook asks for.
 """
@@ -39,6 +39,42 @@ check_clock_offset = Open(clock_offset, _two_cards, within=0.5).with_slips("""
     # each camera has pictures of its own: the means need not belong together
     return np.median(times_b[:, None] - times_a)
     # most pairs are of two moments: take the most frequent difference
+""")
+
+
+def moments(times):
+    """Numbers (total,) of the moments of all pictures, card after card: from 1, in the order of time.
+    times: of each card, (K,), seconds by its own clock; more than 2 s later is another moment."""
+    ahead = [0.0]  # of the clock of the first card
+    for earlier, later in pairwise(times):
+        ahead.append(ahead[-1] + clock_offset(earlier, later))
+    seconds = np.concatenate([card - offset for card, offset in zip(times, ahead, strict=True)])
+    numbers = np.zeros(len(seconds), int)
+    number, before = 0, -np.inf
+    for k in np.argsort(seconds):
+        if seconds[k] - before > 2:
+            number += 1
+        numbers[k] = number
+        before = seconds[k]
+    return numbers
+
+
+def _some_cards(rng: Rng, k: int) -> tuple:
+    taken = np.cumsum(rng.uniform(6, 30, 20 + k))
+    seen = rng.uniform(0, 1, (3 + k % 2, len(taken))) < 0.5
+    seen[:, 3:9] = True
+    times = taken + rng.uniform(-0.1, 0.1, seen.shape)
+    return ([row[of] + rng.uniform(-300, 300) for row, of in zip(times, seen, strict=True)],)
+
+
+check_moments = Open(moments, _some_cards, whole=("times",)).with_slips("""
+    ahead[-1] + clock_offset(earlier, later) → clock_offset(earlier, later)
+    # that is how far a clock is ahead of the one before: add up the offsets
+    card - offset → card + offset  # a clock that is ahead shows too much: subtract its offset
+    card - offset → card  # the clocks are wrong: subtract from each card how far its clock is ahead
+    number, before = 0, -np.inf → number, before = -1, -np.inf  # the first moment has the number 1
+    in np.argsort(seconds) → in range(len(seconds))
+    # in the order of time the pictures of all cards mix: np.argsort
 """)
 
 

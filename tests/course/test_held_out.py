@@ -277,6 +277,14 @@ clock_offset
     near = np.abs(differences - differences[:, None]) < 0.5
     return np.median(differences[near[np.argmax(near.sum(axis=1))]])
     # right: the median of those that agree
+moments
+    seconds = np.concatenate([card - clock_offset(times[0], card) for card in times])
+    order = np.argsort(seconds)
+    numbers = np.empty(len(seconds), int)
+    numbers[order] = 1 + np.cumsum(np.diff(seconds[order], prepend=seconds[order[0]]) > 2)
+    return numbers
+    # right: all by the first card
+    > 2: → > 0.05:  # wrong: a card notes the time when it wrote the picture
 matching_cost
     return np.nanmedian(np.nanmin(volume, axis=-1))  # right
     return np.nanmean(np.nanmin(volume, axis=-1))  # wrong

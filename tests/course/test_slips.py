@@ -81,6 +81,8 @@ refined
     n + offset, n) → n + offset, np.nan)  # NaN or infinity where a number is right
 metrics
     100 * np.mean(e > limit) → np.mean(e > limit)  # a hundredth of the right value
+moments
+    > 2: → > 2000:  # example
 suspect
     min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
     → np.mean([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
