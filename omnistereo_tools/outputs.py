@@ -114,7 +114,9 @@ def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
     for name in READ:
         value = None if name in unread else getattr(options, name, None)
         for path in map(Path, value if isinstance(value, tuple) else filter(None, [value])):
-            patterns = (*_CONTENT, "*/*") if name == "folder" else _CONTENT
+            patterns = [*_CONTENT, *["*/*"] * (name == "folder")]
+            if name == "recording":  # the world in it is not read
+                patterns = [pattern for pattern in patterns if pattern[:2] != "*/"]
             found = [path, *(file for pattern in patterns for file in path.glob(pattern))]
             yield from found
             if name in ("rig", "sets", "data"):
