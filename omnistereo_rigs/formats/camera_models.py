@@ -140,7 +140,7 @@ _MODELS = {
 }
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = _Model(partial(_metashape, projection=_name), (), METASHAPE)
-_RANGES: dict[str, tuple[float, float]] = dict.fromkeys(("fx", "fy", "f"), (0.0, 1e6))
+_RANGES: dict[str, tuple[float, float]] = dict.fromkeys(("fx", "fy"), (1.0, 1e6))
 _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
 
 

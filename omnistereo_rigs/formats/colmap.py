@@ -6,6 +6,7 @@ The centre of the top-left pixel is (0.5, 0.5). Quaternions are w x y z, poses r
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -41,14 +42,16 @@ MODELS: Mapping[str, tuple[str, Parameters]] = {
 _KEYS = "cam_from_rig_rotation cam_from_rig_translation"
 POSE = Way(_KEYS, is_quaternion=True, to_camera=True)
 _IDENTITY = {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [0, 0, 0]}
-# Names of cameras, where all images lie in one folder: three digits are a moment.
-_CAMERA = re.compile(r"(cam(era)?[-_]?)?[0-9]{1,2}", re.IGNORECASE)
+# Names of cameras, where all images lie in one folder: longer numbers are moments.
+_CAMERA = re.compile(r"cam(era)?[-_]?[0-9]{1,2}|[0-9]", re.IGNORECASE)
 
 Camera = dict[str, Any]  # camera_model_name, camera_params, width, height
 
 
 def config_cameras(data: Section, path: Path) -> list[Section]:
-    """Return the cameras of a rig_config.json, whose lenses are in the cameras.txt beside it."""
+    """Return the cameras of a rig_config.json; the sizes of their lenses are in the cameras.txt
+    beside it.
+    """
     cams = [*data.sections("cameras").values()]
     file = path.with_name("cameras.txt")
     if not file.exists():
@@ -57,17 +60,15 @@ def config_cameras(data: Section, path: Path) -> list[Section]:
             "`colmap model_converter` writes it"
         )
     listed = [*_read_cameras(file).values()]
-    if len(listed) != len(cams):
-        raise OmnistereoError(
-            f"{file.name} has {len(listed)} cameras, the rig has {len(cams)}. Delete the wrong one"
-        )
-    for cam, lens in zip(cams, listed, strict=True):
-        cam.ignore("image_prefix", "ref_sensor")
-        if any(cam.get(key, value) != value for key, value in lens.items()):
-            raise OmnistereoError(
-                f"camera {cam.name}: camera_params differ from {file.name}. Delete the wrong ones"
-            )
-        cam.values |= lens | (_IDENTITY if cam.get("ref_sensor") else {})
+    for cam in cams:
+        with error_context(f"camera {cam.name}"):
+            cam.ignore("image_prefix")
+            name, values = cam.require("camera_model_name"), cam.floats("camera_params").tolist()
+            stated = {"camera_model_name": name, "camera_params": values}
+            same = [lens for lens in listed if stated.items() <= lens.items()]
+            if not same:
+                raise OmnistereoError(f"its camera_params are not in {file.name}. Correct one")
+            cam.values |= same[0] | (_IDENTITY if cam.get("ref_sensor") else {})
     return cams
 
 
@@ -103,16 +104,20 @@ def _read_images(
     lines = iter(numbered_lines(file, empty=True))
     for number, words in lines:
         if words:
-            next(lines, None)  # its points
-            if len(words) < 10 or words[8] not in listed:
+            points = next(lines, (0, []))[1]
+            if len(words) < 10 or words[8] not in listed or not all(map(_is_number, points)):
                 raise OmnistereoError(
                     f"{file}: line {number}: found {words[:10]}; expected IMAGE_ID QW QX QY QZ TX "
-                    "TY TZ CAMERA_ID NAME"
+                    "TY TZ CAMERA_ID NAME, and a line of its points, which may be empty"
                 )
             names.append(" ".join(words[9:]))
             ids.append(words[8])
             poses.append(_pose(words[1:8]))
     return names, ids, poses
+
+
+def _is_number(word: str) -> bool:
+    return re.fullmatch(r"[-+0-9.eE]+", word) is not None
 
 
 def _pose(words: Sequence[str]) -> Camera:
@@ -180,23 +185,28 @@ def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -
     """Return the first moment that all cameras have; a UserWarning says that another differs.
 
     The images of a camera lie in a folder of its own, those of a moment have one name. In one
-    folder each image is a camera: an `OmnistereoError` asks for folders where their names end in
-    numbers that may be moments.
+    folder each image is a camera. An `OmnistereoError` asks for such folders where names or folders
+    may be moments.
     """
     if not names:
         raise OmnistereoError(f"{path}: there is no image. Check that the file is complete")
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
-    if len({each.parent for each in paths}) > 1:
+    folders = {each.parent for each in paths}
+    if len(folders) > 1:
         keys = [(str(each.parent), each.stem) for each in paths]
+        # day1/cam1 and day2/cam2 differ in more than the camera.
+        levels = zip_longest(*(folder.parts for folder in folders))
+        is_unclear = [len({*level}) > 1 for level in levels].count(True) > 1
     else:
         keys = [(each.stem, "") for each in paths]
         starts = {each.stem.rstrip("0123456789") for each in paths}
-        if len(starts) < len(names) and not all(_CAMERA.fullmatch(each.stem) for each in paths):
-            raise OmnistereoError(
-                f"{len(names)} images in one folder, {paths[0].name}, {paths[-1].name}, …: moments "
-                "of one camera, or cameras? Put the images of each camera into a folder of its own "
-                "(cam1/0001.png)"
-            )
+        is_named = all(_CAMERA.fullmatch(each.stem) for each in paths)
+        is_unclear = len(starts) < len(names) and not is_named
+    if is_unclear:
+        raise OmnistereoError(
+            f"{len(names)} images, {names[0]}, {names[-1]}, …: moments of one camera, or cameras? "
+            "Put the images of each camera into one folder (cam1/0001.png)"
+        )
     table: dict[str, dict[str, int]] = {}
     for n, (camera, moment) in enumerate(keys):
         table.setdefault(moment, {})[camera] = n

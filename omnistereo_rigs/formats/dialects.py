@@ -30,6 +30,7 @@ from omnistereo_rigs.formats.table import (
     Parameters,
     Value,
     Way,
+    in_order,
     numbers,
     parse_pose,
 )
@@ -45,26 +46,28 @@ def _listed(key: str) -> Callable[[Section, Path], list[Section]]:
     return lambda data, path: [*data.sections(key).values()]
 
 
-def _having(key: str) -> Callable[[Section, Path], list[Section]]:
+def _having(*keys: str) -> Callable[[Section, Path], list[Section]]:
+    """Return the mappings that have one of the keys."""
     return lambda data, path: [
-        data.section(name) for name, value in data.values.items() if key in _mapping(value)
+        data.section(name)
+        for name in in_order(
+            n for n, each in data.values.items() if {*keys} & _mapping(each).keys()
+        )
     ]
 
 
 def _chain(data: Section, path: Path) -> list[Section]:
-    """Return the cameras in the order of their numbers, from 0 or 1, else in that of the file; or
-    the one.
-    """
+    """Return the cameras, without a gap in their numbers; or the one."""
     if "camera_model" in data.values:
         return [data]
-    found = {name: value for name, value in data.values.items() if isinstance(value, Mapping)}
-    names = [name for name, value in found.items() if "camera_model" in value or "cam" in name]
-    check_count(len(names))
-    if names and all(re.fullmatch("cam[0-9]{1,4}", name) for name in names):
-        first = min(1, *(int(name[3:]) for name in names), 1)
-        # A gap in the chain is an error.
-        names = [f"cam{n}" for n in range(first, first + len(names))]
-    return [data.section(name) for name in names]
+    cams = _having("camera_model", "intrinsics")(data, path)
+    numbers = [int(found[0]) for cam in cams if (found := re.search("[0-9]{1,9}$", cam.name))]
+    if len(numbers) == len(cams) > 0 and numbers[-1] - numbers[0] != len(cams) - 1:
+        raise OmnistereoError(
+            f"found {', '.join(cam.name for cam in cams)}; expected a chain without a gap. Add the "
+            "camera, or number them anew"
+        )
+    return cams
 
 
 def _basalt(data: Section, path: Path) -> list[Section]:
@@ -206,7 +209,7 @@ _FL_RADTAN: dict[str, str] = _FL | {f"{key}?": key for key in RADTAN[:5]}
 # Keys of transforms.json: of images, of the scene, and of the focal length in another form.
 _NOT_OF_A_CAMERA = """file_path depth_file_path colmap_im_id sharpness depth_unit_scale_factor
 train_filenames val_filenames test_filenames ply_file_path mask_path aabb_scale scale
-offset applied_transform applied_scale orientation_override camera_angle_x camera_angle_y"""
+offset applied_transform orientation_override camera_angle_x camera_angle_y"""
 _FISHEYES = {"fisheye": "equidistant", "equidistant_fisheye": "equidistant"}
 _FISHEYES |= {"frame": "rectilinear", "equisolid_fisheye": "equisolid"}
 # These programs project a fisheye by x / z and y / z: no point beyond 90° can have been used.
@@ -236,8 +239,11 @@ DIALECTS = (
         recognises=_has("value0"),
         cameras=_basalt,
         model="camera_type",
-        models={name: (name, _BY_NAME) for name in ("ds", "eucm", "ucm", "kb4", "pinhole", "fov")}
-        | {"pinhole-radtan8": ("pinhole", _BY_NAME)},
+        models={name: (name, _BY_NAME) for name in ("ds", "eucm", "ucm", "kb4", "fov")}
+        | {
+            "pinhole-radtan8": ("pinhole", _BY_NAME),
+            "pinhole": ("pinhole", {f"intrinsics.{name}": name for name in PINHOLE}),
+        },
         poses=(Way("T_imu_cam"),),
         unit="metres",
         mask=_mask_beside,
@@ -304,7 +310,10 @@ DIALECTS = (
         size="w h",
         poses=(_TRANSFORM,),
         measured_deg=_DIVIDES,
-        values={"is_fisheye": Value((), "Write camera_model: OPENCV_FISHEYE in its place")},
+        values={
+            "is_fisheye": Value((), "Write camera_model: OPENCV_FISHEYE in its place"),
+            "applied_scale": Value((1,), "Divide the translations by it, and delete it"),
+        },
         origin=0.5,
         mask=_mask_named,
     ),

@@ -21,7 +21,7 @@ from typing import Any
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.parse import Section, check_count, parse_floats
 from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, RADTAN
-from omnistereo_rigs.formats.table import K9, Parameters
+from omnistereo_rigs.formats.table import K9, Parameters, in_order
 
 # The keys that are read: OpenCV's samples, tutorials and arguments, ROS.
 K = "K|k|M|camera_matrix|cameraMatrix|mtx"
@@ -30,7 +30,7 @@ POSE = "R|rvec T|t|tvec"
 SIZE = "image_size|imageSize|resolution|dim|DIM"
 _SIDES = ("image_width", "image_height"), ("width", "height")
 _WORDS = ("distortion_model", "camera_model", "lens_type", "model")
-_FLAGS = ("fisheye", "is_fisheye")
+_FLAGS = ("fisheye", "is_fisheye", "fisheye_model")
 _SHARED = (*SIZE.split("|"), *_SIDES[0], *_WORDS, *_FLAGS)
 _LISTS = {"Ks": "K", "distortions": "D", "Rs": "R", "Ts": "T", "image_sizes": "image_size"}
 _LISTS |= {"is_fisheye": "is_fisheye"}
@@ -41,11 +41,11 @@ MODELS: dict[str, tuple[str, Parameters]] = {
     "fisheye": ("kb4", _K | {D: FISHEYE}),
     "plumb_bob": ("pinhole", _K | {f"{D}?": RADTAN}),
     "omnidir": ("omni", _K | {f"{D}?": RADTAN[:4], "xi": "xi"}),
-    "double_sphere": ("ds", _K | {"xi": "xi", "alpha": "alpha"}),
-    "eucm": ("eucm", _K | {"alpha": "alpha", "beta": "beta"}),
-    "ucm": ("ucm", _K | {"alpha": "alpha"}),
-    "fov": ("fov", _K | {"omega": "w"}),
-    "none": ("pinhole", _K),
+    "double_sphere": ("ds", _K | {D: (), "xi": "xi", "alpha": "alpha"}),
+    "eucm": ("eucm", _K | {D: (), "alpha": "alpha", "beta": "beta"}),
+    "ucm": ("ucm", _K | {D: (), "alpha": "alpha"}),
+    "fov": ("fov", _K | {D: (), "omega": "w"}),
+    "none": ("pinhole", _K | {D: ()}),
 }
 ALIASES = {
     word: name
@@ -93,7 +93,7 @@ def _has_matrix(cam: Any) -> bool:
 def _numbered(key: str) -> tuple[str, int] | None:
     """Return the key and the camera of K1, D_2 and camera_matrix_0; k1 is a coefficient."""
     found = re.fullmatch(r"(\w*?[A-Za-z])_?([0-9]{1,4})", str(key))
-    known = (*K.split("|"), *D.split("|"), "R", "T", "rvec", "tvec")
+    known = (*K.split("|"), *D.split("|"), "R", "T", "rvec", "tvec", "xi")
     if found is None or found[1] not in known or found[1] in ("k", "d"):
         return None
     return found[1], int(found[2])
@@ -149,12 +149,12 @@ def _layout(data: Section) -> dict[str, dict[str, Any]]:
         value = data.require("cameras")
         cams = value if isinstance(value, Mapping) else dict(enumerate(value, 1))
         check_count(len(cams))
-        return {f"camera {key}": _flat(Section(cam).values) for key, cam in cams.items()}
+        return {f"camera {key}": _flat(Section(cams[key]).values) for key in in_order(cams)}
     nested = [key for key, value in data.values.items() if _has_matrix(value)]
     check_count(len(nested))
     if len(nested) > 1:
         data.ignore(*nested)
-        return {f"camera {key}": _flat(data.values[key]) for key in nested}
+        return {f"camera {key}": _flat(data.values[key]) for key in in_order(nested)}
     numbered: dict[int, dict[str, Any]] = {}  # as K1, D1, R2, T2
     for key in data.values:
         if found := _numbered(key):

@@ -5,7 +5,8 @@ which order its numbers stand, where size and pose are, in which direction the p
 the unit. To add a dialect, write a row, an example in book/own_cameras.md and a test.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,6 +90,17 @@ class Found(NamedTuple):
     lenses: Sequence[Lens]
     T_rig_cam: Sequence[Pose] = ()  #: camera → rig
     clock_offsets_s: Sequence[float] | None = None  #: see `RigReading`
+
+
+def in_order(names: Iterable[Any]) -> list[Any]:
+    """Return names of cameras in the order of their numbers, where all have one behind the same
+    word: cam2 before cam10; else as they are.
+    """
+    found = [*names]
+    ends = [re.fullmatch(r"(\D*)([0-9]{1,9})", str(name)) for name in found]
+    if len({end and end[1] for end in ends}) > 1 or None in ends:
+        return found
+    return sorted(found, key=lambda name: int(re.sub(r"\D", "", str(name))))
 
 
 def interpret(row: Dialect, data: Section, path: Path) -> Found:

@@ -73,6 +73,7 @@ CAMERAS = {
     "width and height": without("image_size", width=SIZE[0], height=SIZE[1]),
     "fisheye: true": without("distortion_model", fisheye=True),
     "is_fisheye: 1": without("distortion_model", is_fisheye=1),
+    "fisheye_model: 1": without("distortion_model", fisheye_model=1),
     "lens_type": without("D", "distortion_model", lens_type="fisheye", **COEFFICIENTS),
     "pinhole-equidistant": LENS | {"camera_model": "pinhole", "distortion_model": "equidistant"},
     "Kannala-Brandt": LENS | {"distortion_model": "Kannala-Brandt"},
@@ -188,6 +189,16 @@ def test_file_storage_in_each_of_its_formats(tmp_path, suffix):
     np.testing.assert_allclose(uv[valid], theirs.reshape(-1, 2)[valid], atol=0.02)
 
 
+def test_cameras_are_in_the_order_of_their_numbers(tmp_path):
+    """Images are given in this order."""
+    lenses = {f"cam{n}": LENS | POSE | {"K": (K + [[0, 0, n]] * 1).tolist()} for n in (1, 10, 2)}
+    for cam in lenses.values():
+        cam["K"] = [200, 0, cam["K"][0][2], 0, 199, 380, 0, 0, 1]
+    for data in (lenses, {"cameras": lenses}):
+        rig, _ = read(tmp_path / "rig.json", data, "cm")
+        assert [camera.center[0] for camera in rig.cameras] == pytest.approx([401, 402, 410])
+
+
 def test_npz(tmp_path):
     lists = LISTS | {"image_sizes": [list(SIZE)] * 2, "Ts": [[0, 0, 0], POSE["T"]]}
     np.savez(tmp_path / "rig.npz", **lists)
@@ -213,6 +224,8 @@ REFUSED = [
         "camera 1: model is thin_prism; expected one of fisheye",
     ),
     (LENS | {"distortion_model": "mei"}, "camera 1: key 'xi' is missing"),
+    (without("distortion_model", xi=-0.2, alpha=0.6), "camera 1: D has 4 numbers; expected 0"),
+    (LENS | {"distortion_model": "none"}, "camera 1: D has 4 numbers; expected 0"),
     (LENS | {"xi": 0.5}, "'xi' is a parameter of a lens that is not the one stated"),
     (LENS | {"k5": 0.1}, "'k5' is a parameter of a lens"),
     (LENS | {"lambda": 2.0}, "'lambda' is a parameter of a lens"),

@@ -49,6 +49,8 @@ def changed(data, *path, value=None):
 
 
 DS = {"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}
+LINEAR = {"fx": 300.0, "fy": 300.0, "cx": 400.0, "cy": 380.0}
+K3 = {"camera_type": "pinhole", "intrinsics": LINEAR | {"k3": 0.1}}
 NO_ROTATION = dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)
 IMU = kalibr(np.eye(4), T_cam_imu=np.eye(4).tolist())
 KNOWN = r"unknown format, found the keys .*supported formats.*basalt JSON.*Kalibr.*OpenCV"
@@ -58,6 +60,8 @@ RIGS = [
     ("a.json", basalt(intrinsics=[DS, DS]), "camera 0: .*xi must be numbers"),
     ("a.json", basalt(resolution=[list(SIZE)]), "expected lists of one T_imu_cam, intrinsics"),
     ("a.json", basalt(T_imu_cam=[NO_ROTATION] * 2), "length 0; expected 1"),
+    ("a.json", basalt(intrinsics=[K3, K3]), "'k3' is a parameter of a lens that is not"),
+    ("a.json", basalt(intrinsics=[K3 | {"intrinsics": LINEAR | {"fx": 0.4}}] * 2), "fx = 0.4"),
     ("a.json", basalt(T_imu_cam=7), "expected lists of one T_imu_cam, intrinsics, resolution each per camera"),
     ("a.json", basalt(T_imu_cam=[], intrinsics=[], resolution=[]), "found no camera of basalt JSON"),
     ("a.json", {"value0": {k: v[:1] for k, v in basalt()["value0"].items()}}, "basalt JSON of one camera; a rig needs"),
@@ -67,7 +71,7 @@ RIGS = [
     ("a.yaml", kalibr(2 * np.eye(4)), "cam1: the last row of the pose"),
     ("a.yaml", kalibr(np.diag([2.0, 2, 2, 1])), "cam1: T_cn_cnm1 is not a rotation"),
     ("a.yaml", kalibr(np.eye(3)), "cam1: the 4 × 4 pose T_cn_cnm1 must be 16 numbers, found 9"),
-    ("a.yaml", {**kalibr(), "cam2": kalibr()["cam0"]}, "key 'cam1' is missing"),
+    ("a.yaml", {**kalibr(), "cam2": kalibr()["cam0"]}, "found cam0, cam2; expected a chain without a gap"),
     ("a.yaml", changed(IMU, "cam1", "T_cn_cnm1"), "cam1: no pose; .*expected T_cn_cnm1, T_cam_imu, .* in every"),
     ("a.json", changed(aria(), "CameraCalibrations", 0, "ImageSize"), "'ImageSize' or .* is missing"),
     ("a.json", {"cameraData": []}, "found no camera of DepthAI"),
