@@ -1,6 +1,7 @@
-"""Notebook 03: the ray of a pixel, a sphere, the pixel of a point, the look-up, and how much the
-cameras disagree."""
+"""Notebook 03: the ray of a pixel, a sphere, the pixel of a point, the look-up, how much the cameras
+disagree, and a first depth."""
 
+import cv2
 import numpy as np
 
 from course.exercises import beside
@@ -159,4 +160,56 @@ check_disagreement = Open(
     (warped - mean) ** 2 → np.abs(warped - mean)
     np.sqrt(squares / np.maximum(count, 1)) → squares / np.maximum(count, 1)
     # that is the mean absolute difference: square, take the mean, then the root
+""")
+
+
+def first_depth(images, cameras, T_rig_cam, rays, N, min_depth, window):
+    """Sphere (H, W) on which the cameras disagree least about each ray: the mean disagreement over a
+    window of so many rays a side is lowest. Where fewer than two cameras see, they disagree by 255.
+    """
+    lowest = np.full(rays.shape[:-1], np.inf)
+    index = np.zeros(rays.shape[:-1], int)
+    for n in range(N):
+        points = points_on_sphere(rays, n, N, min_depth)
+        warped = []
+        for image, camera, T in zip(images, cameras, T_rig_cam, strict=True):
+            pixels = pixels_of_points(points, camera, T)
+            warped.append(look_up(image, pixels))
+        apart = disagreement(np.stack(warped))
+        apart = np.where(np.isnan(apart), 255, apart)
+        cost = cv2.blur(apart, (window, window))
+        better = cost < lowest
+        index[better] = n
+        lowest[better] = cost[better]
+    return index
+
+
+def _a_small_rig(rng: Rng, k: int) -> tuple:
+    rows, columns = np.mgrid[:96, :100]
+    waves = rng.uniform(3, 9, (3, 2))
+    images = [127 + 80 * np.sin(rows / a) + 47 * np.cos(columns / b) for a, b in waves]
+    poly, inverse = np.array([-25.0, 0.0, 8e-3]), np.array([40.0, 26.0])
+    lens = OcamCamera(
+        poly, inverse, (50.0, 48.0), (1.0, 0.0, 0.0), (100, 96), (200.0, 150.0)[k % 2]
+    )
+    poses = [Pose.from_vector([0, 2 * i, 0, *rng.normal(0, 0.4, 3)]) for i in range(3)]
+    shape = 9, 15 + k % 3
+    rays = rng.normal(0, 1, (*shape, 3)) * [1, 0.4, 1]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return images, [lens] * 3, poses, rays, 5 + k % 4, rng.uniform(0.8, 1.5), (1, 3)[k % 2]
+
+
+check_first_depth = Open(
+    first_depth, _a_small_rig, whole=("images", "cameras", "T_rig_cam", "rays")
+).with_slips("""
+    lowest[better] = cost[better] → pass
+    # keep the lowest cost, too, or every later sphere is better
+    np.where(np.isnan(apart), 255, apart) → np.nan_to_num(apart)
+    # where fewer than two cameras see, 0 would win: put 255
+    cost = cv2.blur(apart, (window, window)) → cost = apart
+    # a single ray says little: take the mean over the window, cv2.blur
+    cv2.blur(apart, (window, window)) → cv2.blur(apart, (9, 9))
+    # the window is an argument: do not write 9
+    points_on_sphere(rays, n, N, min_depth) → points_on_sphere(rays, n + 1, N, min_depth)
+    # the first sphere has the number 0
 """)

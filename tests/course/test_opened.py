@@ -193,7 +193,7 @@ def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypat
     for done, function in ((1, first), (2, second), (2, second)):
         words, _ = said(function, lambda *inputs, function=function: function.answer(*inputs))
         assert (
-            words == f"\x1b[32m✓\x1b[0m {function.name}: right, {done} of 5 in this notebook. The"
+            words == f"\x1b[32m✓\x1b[0m {function.name}: right, {done} of 6 in this notebook. The"
             " notebook goes on with yours.\n"
         )
     assert (
