@@ -38,16 +38,12 @@ def print_checks(
     if short:
         print("\n".join(f"FAIL  {line}" for line in failed) or f"OK    {what} are in place")
         return not failed
+    count = f"{len(failed)} thing{'s' * (len(failed) > 1)} to fix, marked FAIL"
+    print(count if failed else f"OK    {what} are in place")
     for passed, line in checks:
         print(f"{'OK  ' if passed else 'FAIL'}  {line}")
     for passed, line in notes:
         print(f"{'OK  ' if passed else 'NOTE'}  {line}")
-    count = (
-        f"{len(failed)} thing{'s' * (len(failed) > 1)} to fix, marked FAIL"
-        if failed
-        else f"{what} are in place"
-    )
-    print(f"\n{count}")
     return not failed
 
 

@@ -371,12 +371,11 @@ def serve(latest: Latest, cameras: Cameras | None = None) -> Iterator[str]:
                 self.wfile.write(words(picture, *place).encode())
 
         def _stream(self) -> None:
+            self.wfile.write(b"--x\r\n")
             for picture in latest:
-                head = (
-                    "--x\r\nContent-Type: image/jpeg\r\nContent-Length:"
-                    f" {len(picture.jpeg)}\r\n\r\n"
-                )
-                self.wfile.write(head.encode() + picture.jpeg + b"\r\n")
+                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(picture.jpeg)}\r\n\r\n"
+                # A browser shows a picture when its end has come, not only the next one.
+                self.wfile.write(head.encode() + picture.jpeg + b"\r\n--x\r\n")
 
         def log_message(self, *_: object) -> None:
             pass

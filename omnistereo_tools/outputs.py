@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # options that name files, or folders of files, pictures and data sets
+_SETS = ("rig", "sets", "data")
 READ = (
     *("images", "from_images", "source", "folder", "board", "weights", "init_weights"),
-    *("recording", "rig", "sets", "data"),
+    *("recording", *_SETS),
 )
 # of such a folder
-_CONTENT = ("*", "cam[0-9]*/*", "*depth_*/*", "confidence_*/*", "*/cam[0-9]*/*", "*/*depth_*/*")
+_CONTENT = ("*", "cam[0-9]*/*", "*depth_*/*", "confidence_*/*")
+_BELOW = {"folder": ("*/*",)} | dict.fromkeys(_SETS, ("*/cam[0-9]*/*", "*/*depth_*/*"))
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
 
 _held: list[int] = []  # descriptors of folders
@@ -114,12 +116,10 @@ def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
     for name in READ:
         value = None if name in unread else getattr(options, name, None)
         for path in map(Path, value if isinstance(value, tuple) else filter(None, [value])):
-            patterns = [*_CONTENT, *["*/*"] * (name == "folder")]
-            if name == "recording":  # the world in it is not read
-                patterns = [pattern for pattern in patterns if pattern[:2] != "*/"]
+            patterns = (*_CONTENT, *_BELOW.get(name, ()))
             found = [path, *(file for pattern in patterns for file in path.glob(pattern))]
             yield from found
-            if name in ("rig", "sets", "data"):
+            if name in _SETS:
                 yield from _files_named(found)
 
 

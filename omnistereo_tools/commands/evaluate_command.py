@@ -81,3 +81,4 @@ def run(options: EvaluateOptions) -> None:
     written = write_results(evaluation.out, results)
     print(errors_table(results).text(), end="")
     print(f"written to {evaluation.out}/: {', '.join(written)}")
+    print(evaluation.out / "errors.md")

@@ -140,6 +140,8 @@ def run(options: RecordOptions) -> int:
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
+    if not left:
+        say(f"all {total} frames are there already")
     if options.cluster is None:
         writer = replace(
             writer, method=Method.parse(say_recording(sweep, first[0], len(left), method))

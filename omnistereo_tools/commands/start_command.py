@@ -8,7 +8,11 @@ Examples:
   omnistereo start my_rig --board 12x10 --square 0.06 --max-fov 220
 """
 
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import MISSING, dataclass
+from functools import partial
+from io import StringIO
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
@@ -31,26 +35,34 @@ class StartOptions(LensOptions):
 
 
 def run(options: StartOptions) -> int:
-    """Calibrate, check and compute; return 1 if the rig does not fit the pictures of the scene."""
+    """Calibrate, check and compute, and print the verdict of each step; return 1 if the rig does
+    not fit the pictures of the scene.
+    """
     boards, rig = options.folder / "boards", options.folder / "rig"
     images = _scene(options.folder / "scene", boards)
-    print("1 of 3, the rig: omnistereo calibrate", flush=True)
-    calibrate_command.run(
-        CalibrateOptions(
-            folder=boards,
-            board=options.board,
-            square=options.square,
-            max_fov=options.max_fov,
-            out=rig,
-        )
+    calibrate = CalibrateOptions(
+        folder=boards,
+        board=options.board,
+        square=options.square,
+        max_fov=options.max_fov,
+        out=rig,
     )
-    print("2 of 3, does it fit the scene? omnistereo doctor", flush=True)
-    file = rig / "config.yaml"
-    if doctor_command.run(DoctorOptions(rig=file, images=images)):
+    _say("Rig", partial(calibrate_command.run, calibrate))
+    file, out = rig / "config.yaml", options.folder / "depth"
+    if _say("Check", partial(doctor_command.run, DoctorOptions(rig=file, images=images))):
         return 1
-    print("3 of 3, the depth: omnistereo depth", flush=True)
-    depth_command.run(DepthOptions(rig=file, images=images, out=options.folder / "depth"))
+    _say("Depth", partial(depth_command.run, DepthOptions(rig=file, images=images, out=out)))
+    print(out / "index.html")
     return 0
+
+
+def _say(step: str, run: Callable[[], int]) -> int:
+    """Run a command, print its verdict, or all that it says if it fails, and return its status."""
+    with redirect_stdout(StringIO()) as said:
+        status = run()
+    verdict, *more = said.getvalue().splitlines()
+    print(f"{step}: {verdict}", *(more if status else []), sep="\n", flush=True)
+    return status
 
 
 def _scene(scene: Path, boards: Path) -> tuple[Path, ...]:

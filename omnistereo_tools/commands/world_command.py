@@ -159,7 +159,10 @@ def _write(
         frames.data.frame(number).inverse_depth,
         read_inverse_depth(refined / f"{number:05}.tiff"),
     )
-    page = world_page(surface, poses, number, before, after, frames.grid)
+    used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
+    word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
+    verdict = f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece"
+    page = world_page(surface, poses, number, before, after, frames.grid, verdict)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
     if (times := frames.times) and times.keys() >= poses.keys():
         texts["trajectory_seconds.txt"] = trajectory_tum(poses, times)
@@ -167,9 +170,7 @@ def _write(
         write_text(out / name, text)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
-    used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
-    word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
-    print(f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece.")
+    print(f"{verdict}.")
     print(f"{doubtful:.0f} % of the rays that went in are doubtful; they count little.")
     print(
         f"The path is {length:.1f} m long, the surface has {len(surface.faces)} triangles. How far"

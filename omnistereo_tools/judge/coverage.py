@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,6 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
 _COARSE = SphereGrid(60, 30, (-90, 90), 2, 1.0)
@@ -193,7 +189,7 @@ class Coverage:
             first, last = np.flatnonzero(seen)[[0, -1]]
             low, high = np.linspace(-90, 90, len(seen) + 1)[[first, last + 1]]
             parts.append(
-                f"{outside:.0f} % of the directions that two cameras see (--phi {low:g} {high:g})"
+                f"{outside:.0f} % of the directions that two cameras see ({low:g}° to {high:g}°)"
             )
         if width > grid.width:
             parts.append(f"detail (--grid {width} uses the images fully)")
@@ -214,20 +210,14 @@ class Coverage:
         lines.append(f"Cameras that see a direction, as a share of the whole sphere: {shares}.")
         if not self.share(2):
             return [*lines, "No two cameras see the same direction: there is no depth."]
-        for depth in (1.0, 5.0, 20.0):
-            off = float(np.nanmedian(self.depth_resolution(depth)))
-            lines.append(
-                f"At {depth:g} m, a match that is off by one pixel puts a depth off by {off:.2g} m."
-            )
+        off = ", ".join(
+            f"{float(np.nanmedian(self.depth_resolution(depth))):.2g} m at {depth:g} m"
+            for depth in (1.0, 5.0, 20.0)
+        )
+        lines.append(f"A match that is off by one pixel puts a depth off by {off}.")
         lines.append(self._good_sentence())
         if self.rows() is None:
-            return [
-                *lines,
-                (
-                    "No row of the panorama has depth all around: choose --phi and look at the"
-                    " picture."
-                ),
-            ]
+            return [*lines, "No row of the panorama has depth all around: choose --phi."]
         grid = self.propose(min_depth=min_depth)
         farthest = float(f"{self._farthest(grid.phi_deg):.2g}")
         lines.append(
@@ -240,46 +230,20 @@ class Coverage:
     def _good_sentence(self) -> str:
         """Return from where on depth can be measured in each direction around the horizon."""
         rows = np.abs(np.degrees(_COARSE.phis())) < 45
-        parts = []
+        found = {}
         for name, azimuth in _SECTORS.items():
             off = (np.degrees(_COARSE.thetas()) - azimuth + 180) % 360 - 180
             sector = self.good_from[rows][:, np.abs(off) < 45]
             known = sector[np.isfinite(sector)]
             share = 100 * known.size / sector.size
-            some = f" ({share:.0f} % of it)" if share < 99 else ""
-            parts.append(
-                f"{name}{some} from {np.median(known):.2g} m on"
-                if known.size
-                else f"{name} nowhere"
-            )
+            some = f" on {share:.0f} % of it" if share < 99 else ""
+            found[name] = f"from {np.median(known):.2g} m on{some}" if known.size else "nowhere"
+        same = len({*found.values()}) == 1
+        parts = [found["ahead"]] if same else [f"{name} {words}" for name, words in found.items()]
         return (
             f"Depth can be measured {', '.join(parts)}. Nearer, only one camera sees a surface, or"
             " two do from more than 30° apart."
         )
-
-    def figure(self) -> Figure:
-        """Return a figure of the whole sphere: how many cameras see each direction, and their
-        baseline across it.
-        """
-        from matplotlib import colormaps
-        from matplotlib.figure import Figure
-
-        figure, most = Figure(figsize=(11, 11), layout="constrained"), len(self.rig)
-        axes = figure.subplots(2, 1, sharex=True)
-        extent = (-180, 180, 90, -90)
-        colors = colormaps["viridis"].resampled(most + 1)
-        count = axes[0].imshow(
-            self.cameras, colors, extent=extent, vmin=-0.5, vmax=most + 0.5, interpolation="nearest"
-        )
-        figure.colorbar(count, ax=axes[0], label="cameras", ticks=range(most + 1), shrink=0.9)
-        axes[0].set_title("Cameras that see each direction: two see depth")
-        baseline = axes[1].imshow(self.baseline, extent=extent, vmin=0, interpolation="nearest")
-        figure.colorbar(baseline, ax=axes[1], label="baseline in metres", shrink=0.9)
-        axes[1].set_title("Baseline across the ray: the wider, the more exact; blank: no depth")
-        axes[1].set(xlabel="azimuth θ in degrees, 0 is forward", xticks=range(-180, 181, 45))
-        for ax in axes:
-            ax.set(ylabel="elevation φ in degrees, down > 0", yticks=range(-90, 91, 30))
-        return figure
 
 
 def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:

@@ -228,7 +228,8 @@ class FrameResult:
         write_image(path, page)
 
     def _write_page(self, path: Path) -> None:
-        of_frame = {"trust": self.trust, "gt_index": self.gt_index}
+        files = [f"data/{name}" for name in ("points.ply", "inverse_depth.tiff", "depth_mm.png")]
+        of_frame = {"trust": self.trust, "gt_index": self.gt_index, "files": files}
         write_text(
             path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame)
         )

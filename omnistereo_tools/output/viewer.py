@@ -60,6 +60,7 @@ def viewer_data(
     mode: str = "look",
     trust: NDArray[Any] | None = None,
     gt_index: NDArray[Any] | None = None,
+    files: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a
     ray, too.
@@ -73,6 +74,7 @@ def viewer_data(
             right so many times of ten. None: all are trusted, and there is no slider.
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and
             the error, too.
+        files: To download, by their paths from the page.
     """
     grid = depth.grid
     step = int(np.ceil(np.sqrt(depth.index.size * (8 if gt_index is None else 10) / _RAY_BYTES)))
@@ -93,6 +95,7 @@ def viewer_data(
     first, *_, last = grid.inverse_depths().tolist()
     return optional | {
         "title": title,
+        "files": list(files),
         "mode": mode,
         "width": inverse_depth.shape[1],
         "height": inverse_depth.shape[0],

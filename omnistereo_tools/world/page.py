@@ -48,6 +48,7 @@ def world_page(
     own: NDArray[np.float32],
     refined: NDArray[np.float32],
     grid: SphereGrid,
+    title: str,
 ) -> str:
     """Return the page, in one piece: the surface seen from the path, the path on a plan, one frame
     before and after.
@@ -56,12 +57,13 @@ def world_page(
         poses: Rig → world, of each frame.
         number: Of the frame that is shown.
         own, refined: Its inverse depth, (H, W), 1/m.
+        title: The verdict on the world.
     """
     small = _coarser(surface)
     low = small.vertices.min(axis=0)
     size = np.maximum(small.vertices.max(axis=0) - low, 1e-6)
     data = {
-        "title": f"{len(poses)} frames, one world",
+        "title": title,
         "count": len(small.vertices),
         "triangles": len(small.faces),
         "low": low.tolist(),

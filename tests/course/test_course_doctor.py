@@ -37,7 +37,7 @@ def healthy(tmp_path, monkeypatch):
 def test_all_is_well(healthy, capsys):
     assert __main__.main(["doctor"]) == 0
     text = capsys.readouterr().out
-    *lines, _, verdict = text.splitlines()
+    verdict, *lines = text.splitlines()
     assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines) and verdict.endswith(
         "are in place"
     )

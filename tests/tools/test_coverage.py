@@ -1,7 +1,6 @@
 """Coverage of a rig against closed forms: solid angles of cones, triangulation of two rays, spheres
 a pixel apart."""
 
-import warnings
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +9,6 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_tools.judge.coverage import Coverage
-from omnistereo_tools.outputs import save_figure
 
 
 def rig_of(*poses, fov=200.0):
@@ -108,18 +106,3 @@ def test_cameras_that_share_no_view_have_no_depth():
     coverage = Coverage.of(rig_of([0, 0, 0, 0, 0, 0.1], [0, np.pi, 0, 0, 0, -0.1], fov=120.0))
     assert coverage.share(1) == pytest.approx(0.5, abs=0.01) and coverage.share(2) == 0
     assert coverage.sentences()[1:] == ["No two cameras see the same direction: there is no depth."]
-
-
-@pytest.mark.parametrize(
-    "rig", [scene.rig(cameras=3), rig_of([0] * 6, [0, np.pi, 0, 0, 0, 0], fov=120.0)]
-)
-def test_the_figure_shows_counts_and_metres(rig, tmp_path):
-    """Also where no two cameras see the same direction."""
-    coverage = Coverage.of(rig)
-    figure = coverage.figure()
-    count, baseline, *bars = figure.axes
-    np.testing.assert_array_equal(count.images[0].get_array(), coverage.cameras)
-    np.testing.assert_array_equal(baseline.images[0].get_array().filled(np.nan), coverage.baseline)
-    assert [bar.get_ylabel() for bar in bars] == ["cameras", "baseline in metres"]
-    with warnings.catch_warnings(action="error"):
-        save_figure(tmp_path / "a.png", figure)

@@ -157,9 +157,9 @@ def test_the_browser_gets_a_stream_and_depths(picture):
             address + f"depth?{40.5 / 96}&{17.5 / 24 * shown.rows}", timeout=60
         ).read()
         latest.close()
-        (part,) = stream.read().split(b"--x\r\n")[1:]
+        begin, part, end = stream.read().split(b"--x\r\n")
     assert told.decode() == f"{depth.depth[17, 40]:.2f} m along the ray"
-    assert part.split(b"\r\n\r\n", 1)[1] == shown.jpeg + b"\r\n"
+    assert begin == end == b"" and part.split(b"\r\n\r\n", 1)[1] == shown.jpeg + b"\r\n"
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8765", "", None])

@@ -106,7 +106,7 @@ const OUTSIDE = {
   vertex: SHADE + `
     layout(location = 0) in vec2 ray;        // column and row
     layout(location = 1) in vec4 direction;  // and the inverse depth along it
-    layout(location = 2) in float fringe;    // 0: opaque; at an edge in depth 1 the near side, 2 the far side
+    layout(location = 2) in float fringe;    // at an edge in depth 1 the near side, 2 the far side; of a ray, see below
     uniform vec2 view;
     uniform mat3 axes;
     uniform float focal, behind, pointSize, nearest;
@@ -119,7 +119,7 @@ const OUTSIDE = {
       vec3 d = axes * direction.xyz + vec3(0, 0, direction.w * behind);
       gl_Position = vec4(2.0 * focal / view * vec2(d.x, -d.y), d.z - 2.0 * 0.02 * behind * direction.w, d.z);
 #ifdef POINTS
-      gl_PointSize = clamp(pointSize * focal / d.z, 1.0, 40.0);
+      gl_PointSize = clamp(pointSize * fringe * focal / d.z, 1.0, 40.0);
       tint = shade(at, textureLod(picture, at / size, 0.0).rgb, true);
       if (direction.w < nearest || tint.a < 0.02) gl_Position = vec4(2, 2, 2, 1);
 #endif
@@ -161,8 +161,13 @@ function makeMesh(known) {
   const rayAt = (column, row) => clamp(row - 1, 0, D.height - 1) * D.width + column % D.width;
   for (let row = 0; row < rows; row++)
     for (let column = 0; column < across; column++)
-      vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), inverse(rayAt(column, row)) || 0, 0));
+      vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), inverse(rayAt(column, row)) || 0, 1));
   const depths = Float64Array.from({ length: across * rows }, (_, i) => vertices[FLOATS * i + 5]);
+  // Rays that graze a surface meet it far from each other: their points are as large as that, in gaps between rays.
+  for (let i = across; i < across * (rows - 1); i++) {
+    const steps = [i - across, i + across].filter(j => sameSurface(depths[i], depths[j])).map(j => Math.abs(depths[j] - depths[i]) / depths[i]);
+    vertices[FLOATS * i + 6] = clamp(Math.max(...steps, 0) / radiansPerRow, 1, WIDEST_POINT);
+  }
   // Of each cell whether its corners are known, 1, and show one surface, 2.
   const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows);
   for (let row = 0; row + 1 < rows; row++)
@@ -185,6 +190,7 @@ function makeMesh(known) {
   return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()) };
 }
 
+const WIDEST_POINT = 3;  // gaps between rays
 const LARGEST = 8, FLAT_SPHERES = 0.5;  // cells along a block; how far a ray in it may be from its corners' surface
 
 const cornersOf = (i, side, across) => [i, i + side, i + side * across, i + side * across + side];

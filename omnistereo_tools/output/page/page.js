@@ -3,6 +3,7 @@
 
 const canvas = $("view");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const PRESS = matchMedia("(pointer: coarse)").matches ? "Tap" : "Click";
 const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.3, tilt: 0.6, distance: 0 };
 const SLOW_MS = 70, COARSEST = 0.25;  // two frames that take longer; of the pixels along a side
 const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
@@ -31,8 +32,8 @@ function seen() {
 }
 
 function settings() {
-  // Between points and surfaces white would dazzle.
-  const paper = (dark.matches ? 0x20 : outside() ? 0xb9 : 0xfa) / 255;
+  // Between points and surfaces anything bright would dazzle.
+  const paper = (dark.matches || outside() ? 0x20 : 0xfa) / 255;
   return {
     paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
     layer: ["estimate", "truth", "error"].indexOf($("layer").value), sparse: detail < 1,
@@ -139,7 +140,7 @@ function pick(k) {
 }
 
 function distanceWords() {
-  if (picks.length < 2) return "Click a second place to measure.";
+  if (picks.length < 2) return `${PRESS} a second place to measure.`;
   const [length, error] = distanceBetween(...picks);
   if (!(length < 1e6)) return "One of the two is too far away to measure.";
   return `${metres(length)} ± ${oneDigit(error)} between the two marks`;
@@ -147,7 +148,7 @@ function distanceWords() {
 
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
-  $("readout").textContent = k < 0 ? "" : !steps[k] ? "no depth here"
+  $("readout").textContent = k < 0 ? (outside() ? "not seen by any camera" : "") : !steps[k] ? "no depth here"
     : withBar(k) + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
@@ -481,6 +482,11 @@ function showPictureOnly() {
 
 (async () => {
   $("title").textContent = D.title;
+  $("hint").lastChild.textContent = `${PRESS} a place: why is it that far away?`;
+  for (const file of D.files ?? []) {
+    const link = Object.assign(document.createElement("a"), { href: file, textContent: file.replace(/^.*\//, ""), download: "" });
+    $("files").append(link, " ");
+  }
   $("layers").hidden = !D.truth;
   $("sure").hidden = !D.trust;
   $("least").max = ODDS.length - 1;

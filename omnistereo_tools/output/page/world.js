@@ -3,7 +3,8 @@
 
 const canvas = $("view"), plan = $("plan"), calm = matchMedia("(prefers-reduced-motion: reduce)");
 const METRES_A_SECOND = 4, FARTHEST = 60, NEAREST = 0.05;
-const view = { at: 0, yaw: 0, pitch: 0.15, behind: 6 };  // metres on the path; how the reader looks, relative to the rig
+const start = { yaw: 0, pitch: 0.15, behind: 6 };
+const view = { at: 0, ...start };  // metres on the path; how the reader looks, relative to the rig
 const along = [0];  // metres from the first frame to each, on the path
 for (let k = 1; k < D.path.length; k++) along.push(along[k - 1] + Math.hypot(...D.path[k].place.map((x, i) => x - D.path[k - 1].place[i])));
 
@@ -156,6 +157,7 @@ function fly() {
 }
 
 $("fly").onclick = fly;
+$("reset").onclick = () => { land(); Object.assign(view, start); moveTo(0); changed(); };
 $("along").oninput = () => { land(); view.at = Math.min(+$("along").value, along.at(-1)); changed(); };
 
 const fingers = new Map();
