@@ -119,6 +119,58 @@ check_planar_pose = Open(planar_pose, _a_board, within=5e-4).with_slips("""
 """)
 
 
+def plane_misfits(corners, points, middle, focal_lengths):
+    """Misfits (F,) in px if the lens is r = f θ, for each f of focal_lengths (F,), px: the median over
+    the views of how far, rms, the rays are from the plane that fits them best, times f.
+
+    corners: of each view, (K, 2) px, NaN where not found; points (K, 3): on the board, m; middle
+    (2,): of the image, px."""
+    misfits = []
+    for f in focal_lengths:
+        of_views = []
+        for found in corners:
+            seen = np.isfinite(found[:, 0])
+            offset = found[seen] - middle
+            r = np.linalg.norm(offset, axis=1, keepdims=True)
+            rays = np.hstack([offset / r * np.sin(r / f), np.cos(r / f)])
+            on_plane = planar_pose(rays, points[seen]) @ points[seen]
+            on_plane /= np.linalg.norm(on_plane, axis=1, keepdims=True)
+            apart = np.sum((on_plane - rays) ** 2, axis=1)
+            of_views.append(f * np.sqrt(np.mean(apart)))
+        misfits.append(np.median(of_views))
+    return np.array(misfits)
+
+
+def _some_views(rng: Rng, k: int) -> tuple:
+    points = np.zeros((24, 3))
+    points[:, :2] = np.mgrid[:6, :4].reshape(2, -1).T * 0.1
+    middle, corners = rng.uniform(300, 400, 2), []
+    for _ in range(3 + k % 3):
+        tilt, place = rng.uniform(-0.5, 0.5, 3), rng.uniform([-0.6, -0.5, 0.2], [0.2, 0.1, 0.8])
+        x, y, z = (osl.Pose.from_vector([*tilt, *place]) @ points).T
+        r = 190 * np.arctan2(np.hypot(x, y), z) / np.hypot(x, y)
+        found = middle + np.stack([r * x, r * y], axis=1) + rng.normal(0, 0.2, (24, 2))
+        found[rng.permutation(24)[: k % 4]] = np.nan
+        corners.append(found)
+    return corners, points, middle, np.sort(rng.uniform(140, 300, 4))
+
+
+check_plane_misfits = Open(
+    plane_misfits, _some_views, whole=("corners", "points", "middle"), within=1e-2
+).with_slips("""
+    np.median(of_views) → np.mean(of_views)
+    # a view whose corners are wrong pulls the mean along: take the median
+    on_plane /= np.linalg.norm(on_plane, axis=1, keepdims=True) →
+    # rays have length 1, points on the plane do not: compare directions
+    f * np.sqrt(np.mean(apart)) → np.sqrt(np.mean(apart))
+    # that is an angle: times f it is in pixels, and small f are not favoured
+    found[seen] - middle → found[seen]
+    # r and θ count from the middle of the image: subtract it
+    np.sin(r / f), np.cos(r / f) → r / f, np.ones_like(r)
+    # that is a pinhole: at an angle θ = r / f from the axis a ray is (…, sin θ, cos θ)
+""")
+
+
 def residuals(lens, pose, points, found):
     """Predicted minus found corners (K, 2) in px, NaN where none was found; lens: k1 … k4, u0, v0;
     pose: 6 numbers."""
