@@ -345,37 +345,25 @@ def suggest_board(
 ) -> tuple[tuple[int, int], int] | None:
     """Find the board that the images show: ((columns, rows), number of images), or None.
 
-    Sizes near the given one are searched, and as long as one at the edge of the search fits, those
-    around that one: a part of a board looks like a smaller board. The number of images decides.
-    Only the first images are searched; with `only_larger`, only for boards of which the one given
-    could be a part.
+    Sizes near the given one are searched, the largest first: a part of a board looks like a smaller
+    board. The number of images decides. Only the first images are searched; with `only_larger`,
+    only for boards of which the one given could be a part.
     """
     grays = [as_gray(image) for image in images[:_SEARCHED]]
-    given = middle = (max(board.corners), min(board.corners))
+    columns, rows = max(board.corners), min(board.corners)
+    near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
+    sizes = {
+        (max(c, r), min(c, r))
+        for c in (columns + d for d in near)
+        for r in (rows + d for d in near)
+    }
     best: tuple[tuple[int, int], int] | None = None
-    tried = {given} if only_larger else set[tuple[int, int]]()
-    while True:
-        near = range(-_SIZE_SEARCH, _SIZE_SEARCH + 1)
-        sizes = {
-            (max(c, r), min(c, r))
-            for c in (middle[0] + d for d in near)
-            for r in (middle[1] + d for d in near)
-            if min(c, r) >= 3
-        }
-        if only_larger:
-            sizes = {size for size in sizes if size[0] >= given[0] and size[1] >= given[1]}
-        edge = middle
-        for size in sorted(sizes - tried, key=lambda size: -size[0] * size[1]):
-            tried.add(size)
-            fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
-            if fits > (best[1] if best else 0):
-                best = size, fits
-            if fits and max(abs(a - b) for a, b in zip(size, middle, strict=True)) == _SIZE_SEARCH:
-                # There may be a larger one outside, so the search goes on around this one.
-                edge = size
-                break
-            if 2 * fits >= len(grays):
-                return best
-        if edge == middle:
-            return best
-        middle = edge
+    for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
+        if min(size) < 3 or (only_larger and size == (columns, rows)):
+            continue
+        fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
+        if fits > (best[1] if best else 0):
+            best = size, fits
+        if 2 * fits >= len(grays):
+            break
+    return best

@@ -166,20 +166,10 @@ def _renamed(progress: Progress, name: str) -> Progress:
 
 def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None:
     if camera is not None and camera.image_size != tuple(image_size):
-        # Width and height of the images by those of the camera, and the reverse. If both are one
-        # whole number, the message can say by how much to reduce.
-        larger, smaller = np.divide(
-            [image_size, camera.image_size], [camera.image_size, image_size]
-        )
-        remedy = "Pass its images"
-        if larger[0] == larger[1] == int(larger[0]):
-            remedy = f"Reduce the images by {larger[0]:g} in width and height"
-        elif smaller[0] == smaller[1] == int(smaller[0]):
-            remedy = (
-                f"Pass the images at full size, or the camera as camera.reduced({smaller[0]:g})"
-            )
+        (w, h), (width, height) = image_size, camera.image_size
         raise OmnistereoError(
-            f"the images are {image_size} px, the given camera {camera.image_size}. {remedy}"
+            f"the images are {w} × {h} px, the given camera {width} × {height}. Pass its images, "
+            f"or scale the rig file by `omnistereo rig IN OUT --size {w}x{h}`"
         )
 
 

@@ -138,8 +138,7 @@ def _layout(data: Section) -> dict[str, dict[str, Any]]:
     if "Ks" in lists:
         count = len(lists["Ks"])
         check_count(count)
-        sizes = lists.get("image_sizes") or [None]
-        if any(len(value) != count for key, value in lists.items() if value != sizes):
+        if {*map(len, lists.values())} != {count}:
             raise OmnistereoError(f"{' '.join(lists)} have different lengths; expected {count}")
         return {
             f"camera {n + 1}": {_LISTS[key]: value[n] for key, value in lists.items()}

@@ -52,6 +52,9 @@ _RIG_FILES = (
     "transforms.json",
 )
 _COLMAP = ("cameras.txt", "images.txt")
+# What NumPy raises for a file that is none of its own.
+_BROKEN: tuple[type[Exception], ...] = (ValueError, OSError, EOFError, KeyError, TypeError)
+_BROKEN += (zipfile.BadZipFile, NotImplementedError)
 _FAR = 1000.0  # metres
 _MAX_SHIFT_S = 1e-3  # between the clocks of cameras; beyond it equal stamps are not one moment
 
@@ -356,21 +359,12 @@ def _content(path: Path) -> Any:
 
 def _arrays(content: bytes) -> dict[str, Any]:
     """Return the arrays of an npz file as lists."""
-    broken = (
-        ValueError,
-        OSError,
-        zipfile.BadZipFile,
-        EOFError,
-        KeyError,
-        TypeError,
-        NotImplementedError,
-    )
     try:
         with np.load(BytesIO(content), allow_pickle=False) as arrays:
             if sum(part.file_size for part in arrays.zip.infolist()) > MAX_BYTES:
                 raise OmnistereoError("the arrays are larger than those of any rig")
             return {name: arrays[name].tolist() for name in arrays.files}
-    except broken as error:
+    except _BROKEN as error:
         reason = "it holds Python objects" if "pickle" in str(error) else str(error)
         raise OmnistereoError(
             f"not an npz file of arrays ({reason}). Write arrays of numbers"
@@ -381,11 +375,13 @@ def _layers(data: Any) -> Iterator[dict[str, Any]]:
     """Yield the content of a file as a mapping, and what is in it as long as it only wraps: a list,
     a single key.
     """
-    listed = data if isinstance(data, list) else []
-    rigs = [each for each in listed if isinstance(each, dict) and "cameras" in each]
-    if len(rigs) > 1:
-        raise OmnistereoError(f"the file holds {len(rigs)} rigs; expected one. Delete the others")
-    data = rigs[0] if rigs else {"cameras": data} if isinstance(data, list) else data
+    if isinstance(data, list):
+        rigs = [each for each in data if isinstance(each, dict) and "cameras" in each]
+        if len(rigs) > 1:
+            raise OmnistereoError(
+                f"the file holds {len(rigs)} rigs; expected one. Delete the others"
+            )
+        data = rigs[0] if rigs else {"cameras": data}
     while isinstance(data, dict):
         yield data
         inner = [value for key, value in data.items() if not is_irrelevant(key, value)]

@@ -78,32 +78,10 @@ def test_given_cameras_must_fit(seen):
     camera, _ = given()
     with pytest.raises(osl.OmnistereoError, match="there are 1 given cameras for views of 4"):
         calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[camera])
-    half = [[None if view is None else (view + 0.5) / 2 - 0.5 for view in row] for row in seen]
-    for other, views, size, message in (
-        (
-            replace(camera, image_size=(640, 480), center=(320, 240)),
-            seen,
-            SIZE,
-            r"\(640, 480\)\. Pass its images",
-        ),
-        (
-            camera.reduced(2),
-            seen,
-            SIZE,
-            r"\(400, 384\)\. Reduce the images by 2 in width and height",
-        ),
-        (
-            camera,
-            half,
-            (400, 384),
-            r"\(800, 768\)\. Pass .* at full size, or the camera as camera\.reduced\(2\)",
-        ),
-    ):
-        with pytest.raises(
-            osl.OmnistereoError,
-            match=r"camera 1: the images are .* px, the given camera " + message,
-        ):
-            calibrate_rig(views, BOARD, [size] * 4, cameras=[other] * 4)
+    other = replace(camera, image_size=(640, 480), center=(320, 240))
+    said = r"the images are 800 × 768 px, the given camera 640 × 480\. .* --size 800x768"
+    with pytest.raises(osl.OmnistereoError, match=f"camera 1: {said}"):
+        calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[other] * 4)
 
 
 AHEAD = osl.Pose.from_vector([0.2, 0.15, 0.1, -0.3, -0.25, 0.35])

@@ -37,17 +37,17 @@ def rays(theta_deg, azimuths=16):
 points = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 3)).filter(
     lambda p: hypot(*p) > 0.1
 )
+# Mei's sphere with xi = alpha / (1 - alpha) is the unified model, with other focal lengths.
 BY_HAND = [
     ("ds", DOUBLE_SPHERE, partial(ds, xi=-0.28, alpha=0.57, **AT)),
     ("eucm", PINHOLE | {"alpha": 0.6, "beta": 1.1}, partial(eucm, alpha=0.6, beta=1.1, **AT)),
     ("kb4", KB4, partial(kb4, k=K4, f=(320, 321), c=AT["c"])),
     ("kb4", KB4 | {"skew": 1.5}, partial(kb4, k=K4, f=(320, 321), c=AT["c"], skew=1.5)),
     ("omni", OMNI | {"k1": -0.05, "k2": 0.01}, partial(mei, f=(560, 556), c=AT["c"])),
-    # Mei's sphere with xi = alpha / (1 - alpha) is the unified model, with other focal lengths.
     ("ucm", OMNI | {"alpha": 0.6}, partial(mei, f=(560 * 2.5, 556 * 2.5), c=AT["c"], k1=0, k2=0)),
     ("fov", PINHOLE | {"w": 0.9}, partial(fov, w=0.9, **AT)),
     ("pinhole", PINHOLE | {"k1": -0.1, "k2": 0.01}, partial(brown, p=(0, 0), **AT)),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("model", "parameters", "by_hand"), BY_HAND)
@@ -79,9 +79,9 @@ ENDS = [
     (90 + degrees(asin((W1 - 0.28) / sqrt(1 - 2 * W1 * 0.28 + 0.28**2))), "ds", DOUBLE_SPHERE),
     (90 + degrees(asin(0.4 / 0.6)), "ucm", PINHOLE | {"alpha": 0.6}),
     (degrees(acos(-0.8)), "omni", PINHOLE | {"xi": 0.8}),
-    (degrees(1.0), "kb4", PINHOLE | {"k1": -1 / 3}),  # r' = 1 - θ²
+    (degrees(1.0), "kb4", PINHOLE | {"k1": -1 / 3}),
     (60, "pinhole", PINHOLE),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("end", "model", "parameters"), ENDS)
@@ -96,7 +96,7 @@ RADIAL = [
     ("kb4", KB4),
     ("eucm", PINHOLE | {"alpha": 0.6, "beta": 1.05}),
     ("omni", OMNI | {"k1": -0.01, "k2": 0.002}),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("model", "parameters"), RADIAL)
@@ -166,14 +166,11 @@ THEIRS = {
     "OPENCV_FISHEYE": [200.0, 199.0, 400.5, 380.5, *K4],
     "SIMPLE_RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01],
     "RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01, 0.004],
-    "RAD_TAN_THIN_PRISM_FISHEYE": [
-        *(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5),
-        *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4),
-    ],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [*(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5), *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4)],
     "EUCM": [220.0, 219.0, 400.5, 380.5, 0.6, 1.1],
     "FOV": [300.0, 299.0, 400.5, 380.5, 0.9],
     "FULL_OPENCV": [400.0, 398, 400.5, 380.5, 0.1, -0.02, 1e-3, -1e-3, 0.01, 0.02, -0.01, 1e-3],
-}
+}  # fmt: skip
 
 
 @pytest.mark.nightly
