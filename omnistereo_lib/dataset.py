@@ -142,7 +142,7 @@ def load_dataset(
     (706, (300, 1200))
     """
     folder = as_path(folder, "folder")
-    unpack(folder)
+    unpack(folder if split is None else folder / split)
     if not os.path.isdir(folder):  # False also for a name that no file can have
         raise OmnistereoError(f"{folder} cannot be read: there is no such folder. Check the path.")
     if split is not None and (folder / split).is_dir():

@@ -26,6 +26,7 @@ from served_commands import Server
 from typed_commands import HELP, NOTEBOOKS, PAGES, ROOT, commands_of
 
 import omnistereo_lib as osl
+from omnistereo_lib.files import unpack
 from omnistereo_lib.pictures import write_image
 from omnistereo_rigs.formats.write import export_rig
 
@@ -140,6 +141,7 @@ def files(tmp_path_factory):
         json.dumps(yaml.safe_load((folder / "kalibr.yaml").read_text()))
     )
     shutil.copy(folder / "kalibr.yaml", folder / "camchain.yaml")
+    unpack(ROOT / "data_samples/sunny/train")
     (folder / "my_frames").symlink_to(ROOT / "data_samples/sunny/train")
     for k, names in BOARDS.items():
         (folder / "pictures" / f"cam{k}").mkdir(parents=True)

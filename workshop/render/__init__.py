@@ -113,9 +113,9 @@ def render(
     for name, numbers in wanted.items():
         unpack(out.absolute() / name)
         _render(out.absolute() / name, name, numbers, seed, cluster)
-    for archive in out.glob("*.zip"):
-        if archive.stem in {name.split("/")[0] for name in wanted}:
-            pack(archive.with_suffix(""))
+    for folder in [archive.with_suffix("") for archive in out.rglob("*.zip")]:
+        if any((out / name).is_relative_to(folder) for name in wanted):
+            pack(folder)
     there = " ".join(name for name in _ALL if (out / name).is_dir())
     write_manifest(out, seed, f"python -m workshop.render {there} --seed {seed}")
     return 0

@@ -345,7 +345,7 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
     """Write manifest.json: the checksum of every file below a folder, the seed and the command that
     made them. Of a folder that lies there packed, too, only the archive counts.
     """
-    packed = [path.with_suffix("") for path in root.glob("*.zip")]
+    packed = [path.with_suffix("") for path in root.rglob("*.zip")]
     files = sorted(
         path
         for path in root.rglob("*")

@@ -9,9 +9,9 @@ import numpy as np
 from omnistereo_learn.endless.scenes import street, things
 from omnistereo_learn.endless.worlds import Scene, develop, without_obstacles
 from omnistereo_learn.evaluate.run import DATA
+from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.rig_file import load_rig
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_tools.judge.coverage import Coverage
 
@@ -43,7 +43,7 @@ def shares(size: float, method: str) -> tuple[float, list[float]]:
     """Return the nearest depth that is proposed for a rig of a size, and the share of right rays in
     each band.
     """
-    like = load_rig(DATA / "sunny" / "train").recentered()
+    like = load_dataset(DATA / "sunny", split="train").rig.recentered()
     scale = size / np.ptp(like.centers, axis=0).max()
     rig = like.with_poses([Pose(pose.R, scale * pose.t) for pose in like.T_rig_cam])
     grid = Coverage.of(rig).propose(320, 80, num_spheres=96)
