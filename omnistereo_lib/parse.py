@@ -365,7 +365,7 @@ def check_fov(value: float, name: str) -> float:
     if 0 < value < MIN_FOV_DEG:
         raise OmnistereoError(
             f"{name} is {value:g}; expected the full field of view in degrees, {MIN_FOV_DEG:g} to "
-            f"360. {value:g} radians are {np.degrees(value):.1f}°. Write degrees"
+            f"360. It looks like radians ({np.degrees(value):.1f}°). Write degrees"
         )
     return check_number(value, name, MIN_FOV_DEG, 360)
 

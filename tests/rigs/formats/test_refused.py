@@ -81,7 +81,7 @@ RIGS = [
     ("config.yaml", each(omnimvs(), "invalid_mask", invalidmask="a.png"), "is 'invalid_mask' meant"),
     ("config.yaml", each(omnimvs(), "inv_poly", Inv_poly=[2, 1, 1]), "is 'inv_poly' meant"),
     ("config.yaml", each(omnimvs(), "center", centre_px=1, **dict.fromkeys("abcdefghijkl", 0)), r"key 'center' is missing; found \['centre_px', .* and \d+ more"),
-    ("config.yaml", each(omnimvs(), max_fov=3.84), r"camera 1: max_fov is 3.84; .*radians are 220.0°"),
+    ("config.yaml", each(omnimvs(), max_fov=3.84), r"camera 1: max_fov is 3.84; .*radians \(220.0°\)"),
     ("config.yaml", each(omnimvs(), "invalid_mask", pose=[0, 0, 0, 1001, 0, 0]), "a camera stands 1001 m from the origin"),
     ("a.json", [{"a": 1}], "unknown format"),
     ("a.json", [{"token": "t", "camera_intrinsic": K.tolist()}] * 2, r"unknown .*in them \['camera_intrinsic', 'token'\]"),
