@@ -75,8 +75,7 @@ def train(
     init_weights: str | Path | None = None,
     on_step: Callable[[dict[str, float]], object] = lambda row: None,
 ) -> Path:
-    """Train a network to the end, or resume an interrupted run in the same folder; return the file
-    of weights.
+    """Train a network, or resume an interrupted run in the same folder; return its weights file.
 
     The folder gets `log.csv`, `provenance.json`, `state.safetensors` (to resume) and, at every
     validation and at the end, `weights.safetensors` (for `SweepNet.from_file`, `MCCNN.from_file`).
@@ -239,8 +238,7 @@ class _Run:
 
     @torch.no_grad()
     def validate(self, done: int) -> dict[str, float]:
-        """Return mean loss and error of the same micro-batches every time, of frames that are never
-        trained on.
+        """Return mean loss and error of the same micro-batches of held-out frames.
 
         `done` steps came before.
         """
@@ -256,9 +254,7 @@ class _Run:
         return dict(zip(("validation_loss", "validation_error"), metrics.tolist(), strict=True))
 
     def _update_bn(self, done: int) -> None:
-        """Recompute batch norm statistics: running averages would lag behind and differ between
-        processes.
-        """
+        """Recompute batch norm statistics: running averages would lag and differ by process."""
         norms = [
             layer
             for layer in self.network.modules()
@@ -271,9 +267,7 @@ class _Run:
                 self.loss(self.micro_batch(_NORMS, done * self.recipe.frames_per_step + k))
 
     def write_weights(self, path: Path, row: Mapping[str, float]) -> None:
-        """Write the weights to use, batch norms fused, with what they come from: two machines give
-        two sets.
-        """
+        """Write the weights to use, batch norms fused, with what they come from."""
         cpu = f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
         processor = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else cpu
         self.network.fuse_batch_norm().save(
@@ -320,9 +314,7 @@ class _Run:
         save_tensors(path, tensors, {"step": step, "recipe": self._identity, "row": last})
 
     def resume(self, path: Path) -> tuple[int, dict[str, float]]:
-        """Read the state that an earlier call with this recipe left, if any; return the step that
-        comes next, and the row of the log of the one before.
-        """
+        """Read the state of an earlier call; return the next step, and the log's row before it."""
         if not path.exists():
             return 0, {}
         tensors, metadata = load_tensors(path)
@@ -340,9 +332,7 @@ class _Run:
             raise OmnistereoError(f"{found}. Delete it to start over.") from None
 
     def _restore(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take network and optimiser from the tensors of a state; raise one of several types if
-        they do not fit.
-        """
+        """Take network and optimiser from tensors; raise one of several types if unfit."""
         network: dict[str, Tensor] = {}
         memory: dict[int, dict[str, Tensor]] = {}
         shapes = [weight.shape for weight in self.network.parameters()]
@@ -368,9 +358,7 @@ class _Run:
 
 
 def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
-    """Return the rank of this process and the world size, above 1 where `torchrun` started the
-    processes.
-    """
+    """Return rank and world size, above 1 where `torchrun` started the processes."""
     world = number_from_environment("WORLD_SIZE", 1)
     if world == 1:
         return 0, 1
@@ -393,9 +381,7 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
 
 
 def read_log(path: Path, stop: int) -> list[dict[str, float]]:
-    """Return the rows of a log before step `stop`; an `OmnistereoError` if one is missing or
-    damaged.
-    """
+    """Return the rows of a log before step `stop`; refuse a missing or damaged one."""
     if stop == 0 or not path.is_file():
         return []
     header, *lines = [*csv.reader(read_text(path).splitlines()), []][: stop + 1]

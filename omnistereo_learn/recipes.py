@@ -1,6 +1,4 @@
-"""Recipes: every number that determines a trained network, besides the data, each with its
-reason.
-"""
+"""Recipes: every number that determines a trained network, with its reason."""
 
 import math
 from collections.abc import Sequence
@@ -25,8 +23,7 @@ _MAY_BE_ZERO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Settings that the recipes of all networks share; one out of its range raises
-    `OmnistereoError`.
+    """Settings that all recipes share; one out of its range raises `OmnistereoError`.
 
     A step is some micro-batches of samples, each of one frame.
     """
@@ -88,9 +85,7 @@ class Recipe:
                 )
 
     def with_overrides(self, settings: Sequence[str]) -> Self:
-        """Return the recipe with settings changed, given as "name=value"; raises `OmnistereoError`
-        for bad ones.
-        """
+        """Return the recipe with settings changed by "name=value"; refuse bad ones."""
         changes: dict[str, Any] = {}
         for setting in settings:
             name, _, value = setting.partition("=")
@@ -160,8 +155,7 @@ class VolumeNetRecipe(Recipe):
 
 @dataclass(frozen=True, kw_only=True)
 class MCCNNRecipe(Recipe):
-    """Recipe of MC-CNN. A micro-batch is some rays of one frame, each with a matching and a
-    non-matching patch pair.
+    """Recipe of MC-CNN. A micro-batch is rays of one frame, each with a match and a non-match.
 
     Distances are pixels between the views of one point in two cameras: one sphere index is a
     fraction of that.

@@ -1,6 +1,4 @@
-"""Images of consumer cameras: two lenses back to back in one image, and panoramas, which have no
-depth.
-"""
+"""Images of consumer cameras: two lenses in one image, and panoramas, which have no depth."""
 
 from pathlib import Path
 
@@ -35,8 +33,7 @@ def check_not_stitched(path: str | Path) -> None:
 
 
 def split_image(image: NDArray[np.uint8], rig: Rig, path: str | Path) -> list[NDArray[np.uint8]]:
-    """Return the images of all cameras of a rig out of one, which they share, or which holds one
-    beside the other.
+    """Return the images of all cameras out of one, which they share, or side by side in it.
 
     Raises an `OmnistereoError` if the image is neither, with the reason if it is an equirectangular
     panorama.
@@ -65,9 +62,7 @@ def split_image(image: NDArray[np.uint8], rig: Rig, path: str | Path) -> list[ND
 
 
 def is_equirectangular(image: NDArray[np.uint8]) -> bool:
-    """Return whether an image is 2 to 1, its left and right side meet, and its first row is one
-    point.
-    """
+    """Return whether an image is 2 to 1, its sides meet, and its first row is one point."""
     height, width = image.shape[:2]
     if width != 2 * height:
         return False

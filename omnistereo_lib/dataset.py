@@ -90,9 +90,7 @@ class Dataset(Sequence[Frame]):
         return replace(self._frames[i])  # a copy, so that cached images are freed with it
 
     def frame(self, number: int) -> Frame:
-        """Return the frame of a number, as in the file names; an `OmnistereoError` lists those
-        there are.
-        """
+        """Return the frame of a number; an `OmnistereoError` lists those there are."""
         numbers = [frame.number for frame in self._frames]
         if number not in numbers:
             known = ", ".join(map(str, numbers[:12])) + " …" * (len(numbers) > 12)
@@ -119,8 +117,7 @@ def load_dataset(
     max_fov_deg: float | None = None,
     rig: Rig | None = None,
 ) -> Dataset:
-    """Open a data set in the public layout (see the module docstring); images are read on first
-    use.
+    """Open a data set in the public layout (see the module); images are read on first use.
 
     Args:
         split: A folder of that name inside `folder`; for the published sets the frame numbers of
@@ -192,9 +189,7 @@ def _read_frames(
 
 
 def write_poses(folder: Path, number: int, T_rig_cam: Sequence[Pose] | None) -> None:
-    """Store the poses of a frame of a data set beside its rig, every number in full; None: it has
-    those of the rig.
-    """
+    """Store the poses of a frame beside the rig of its data set; None: those of the rig."""
     path = _poses_path(folder, number)
     if T_rig_cam is None:
         path.unlink(missing_ok=True)
@@ -230,8 +225,7 @@ def _rig_of(folder: Path, number: int, rig: Rig) -> Rig:
 
 
 def _gt_root(folder: Path) -> Path:
-    """Return the folder that holds the ground truth: this one, or the one that `dataset: truth` in
-    config.yaml names.
+    """Return the folder of the ground truth: this one, or that of `dataset: truth` in config.yaml.
 
     Our sets of one drive in several lights share the ground truth of one of them.
     """
@@ -268,9 +262,7 @@ def _find_gt(folder: Path, width: int | None) -> dict[int, Path]:
 
 
 def _gt_by_width(folders: Iterable[Path]) -> dict[int, dict[int, Path]]:
-    """Return the ground-truth files by panorama width and frame number; folders without such files
-    do not count.
-    """
+    """Return the ground-truth files by panorama width and frame number; none for empty folders."""
     paths: dict[int, list[Path]] = {}
     for folder in folders:
         match = re.fullmatch(_GT_FOLDER, folder.name)
@@ -280,9 +272,7 @@ def _gt_by_width(folders: Iterable[Path]) -> dict[int, dict[int, Path]]:
 
 
 def _by_number(paths: Iterable[Path], pattern: str) -> dict[int, Path]:
-    """Return the paths whose names match, by the number in them, in ascending order; 0001 and 00001
-    are the same.
-    """
+    """Return the paths whose names match, by the number in them (0001 is 00001), ascending."""
     found: dict[int, Path] = {}
     for path in sorted(paths):
         if match := re.fullmatch(pattern, path.name):

@@ -30,9 +30,7 @@ class OmnistereoError(ValueError):
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line of at most 500 characters; of a longer one the middle is left
-    out.
-    """
+    """Return a text as one line of at most 500 characters, without its middle if it is longer."""
     # control characters move a terminal's cursor
     text = re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text)
     return text if len(text) <= 500 else f"{text[:330]} … {text[-167:]}"
@@ -40,9 +38,7 @@ def one_line(text: str) -> str:
 
 @contextmanager
 def error_context(source: str | Path) -> Iterator[None]:
-    """Prefix every `OmnistereoError` raised inside with a file name, or with a camera in the
-    file.
-    """
+    """Prefix every `OmnistereoError` raised inside with a file name, or a camera in it."""
     try:
         yield
     except OmnistereoError as error:
@@ -51,9 +47,7 @@ def error_context(source: str | Path) -> Iterator[None]:
 
 
 def check_number(value: Any, what: str, low: float, high: float, whole: bool = False) -> float:
-    """Return a number of low … high as float, a whole one as int; else the `OmnistereoError` says
-    `what` it is.
-    """
+    """Return a number of low … high as float, or int if `whole`; an error says what `what` is."""
     valid = _is_number(value) and low <= value <= high
     if not valid or (whole and value != int(value)):
         kind = "an integer" if whole else "a number"
@@ -66,9 +60,7 @@ def _is_number(value: object) -> bool:
 
 
 def check_type(value: object, kind: type, name: str) -> None:
-    """Raise an `OmnistereoError` if an argument is not of a class, or a class that its kind is
-    registered for.
-    """
+    """Raise an `OmnistereoError` if an argument is not of a class, or of one registered for it."""
     if not isinstance(value, kind):
         raise OmnistereoError(f"{name} is {shortened(value)}; expected {kind.__name__}")
 

@@ -54,9 +54,7 @@ def as_path(path: str | Path, name: str = "path") -> Path:
 
 
 def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
-    """Return the content of a regular file of at most `most` bytes; an `OmnistereoError` says why
-    it cannot be read.
-    """
+    """Return the content of a regular file of at most `most` bytes; say why it cannot be read."""
     path = as_path(path)
     try:
         status = path.stat()  # opening a pipe would wait for its other end
@@ -78,9 +76,7 @@ def checksum(content: bytes) -> str:
 
 
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
-    """Return the path of a name in the file `source`; an `OmnistereoError` says that it leaves
-    `root` (the folder).
-    """
+    """Return the path of a name in the file `source`; refuse one that leaves `root` (folder)."""
     path = folder / str(name)
     try:
         path.exists()  # raises for a name that no file can have
@@ -97,9 +93,7 @@ def path_within(folder: Path, name: Any, source: str | Path, root: Path | None =
 
 
 def read_text(path: str | Path, most: int = _MAX_TEXT) -> str:
-    """Return the content of a text file in UTF-8, else in Latin-1, which the comments of older
-    programs have.
-    """
+    """Return the content of a text file in UTF-8, else Latin-1, as in older programs' comments."""
     content = read_bytes(path, most)
     try:
         return content.decode("utf-8-sig")
@@ -132,9 +126,7 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
 
 
 def parse_json(text: str | bytes, source: str | Path) -> Any:
-    """Return JSON as Python values; an `OmnistereoError` names the source, and what is damaged or
-    stated twice.
-    """
+    """Return JSON as Python values; an error names what is damaged or stated twice."""
     try:
         return _not_deep(json.loads(text, object_pairs_hook=_unique))
     except _BROKEN as error:
@@ -142,9 +134,7 @@ def parse_json(text: str | bytes, source: str | Path) -> Any:
 
 
 def _parse_xml(text: str, source: str | Path) -> Any:
-    """Return XML as a mapping from the name of its root; elements called `_` are a list, as OpenCV
-    writes it.
-    """
+    """Return XML as a mapping from the name of its root; elements called `_` are OpenCV's lists."""
     from xml.etree import ElementTree
 
     def value(element: ElementTree.Element) -> Any:
@@ -194,9 +184,7 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
 
 
 def _not_deep(values: Any) -> Any:
-    """Return values as they are, which are not nested so deeply that Python could not compare or
-    show them.
-    """
+    """Return values as they are, if not nested too deeply for Python to compare or show."""
     inner = [values]
     for _ in range(_MAX_DEPTH):
         inner = [part for value in inner for part in _parts(value)]
@@ -210,9 +198,7 @@ def _parts(value: Any) -> Iterable[Any]:
 
 
 def _yaml_loader() -> type:
-    """Return a loader in Python, whose recursion is limited: that in C crashes where a file is
-    nested deeply.
-    """
+    """Return a loader in Python, whose recursion is limited: that in C crashes on deep nesting."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -248,9 +234,7 @@ def _yaml_loader() -> type:
 
 
 def _expanded(node: Any, known: dict[int, float]) -> float:
-    """Return the number of values of a YAML node with those of its aliases; infinite if it holds
-    itself.
-    """
+    """Return the number of values of a YAML node with its aliases; infinite if it holds itself."""
     if id(node) not in known:
         known[id(node)] = np.inf
         parts = node.value if isinstance(node.value, list) else []
@@ -269,8 +253,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Write a file atomically: yield a temporary path beside it, rename it on success, remove it on
-    failure.
+    """Write a file atomically: yield a temporary path beside it, rename it on success or remove it.
 
     Each writer has a name of its own, also beside writers in other threads, containers and
     machines. The content is on the disk before the file has its name. Removes what killed processes
@@ -308,9 +291,7 @@ def _sync(path: Path) -> None:
 
 
 def _remove_stale(path: Path, now: float) -> None:
-    """Remove the temporary files of `path` to which nobody has written for an hour, by the clock of
-    the disk.
-    """
+    """Remove temporary files of `path` that are an hour old by the clock of the disk."""
     for left in path.parent.glob(f".{'[0-9a-f]' * 16}.{glob.escape(path.name)}"):
         with suppress(FileNotFoundError):  # another writer was quicker
             if now - left.stat().st_mtime > _STALE:
@@ -318,9 +299,7 @@ def _remove_stale(path: Path, now: float) -> None:
 
 
 def make_folder(path: str | Path) -> Path:
-    """Make a folder and its parents if missing; return its path. An `OmnistereoError` says why it
-    is not writable.
-    """
+    """Make a folder and its parents; return its path, or say why it is not writable."""
     path = Path(path)
     _made.extend(folder for folder in (path, *path.parents) if not folder.exists())
     try:
@@ -335,9 +314,7 @@ def make_folder(path: str | Path) -> Path:
 
 
 def remove_empty_folders() -> None:
-    """Remove the folders that `make_folder` has made and nothing was written into, as before a
-    refusal.
-    """
+    """Remove the folders that `make_folder` has made and nothing was written into."""
     for folder in sorted(set(_made), reverse=True):  # inner ones first
         with suppress(OSError):
             folder.rmdir()

@@ -1,6 +1,4 @@
-"""A rig and its images, checked once where they enter; and the files that images and exact depth
-come from.
-"""
+"""A rig and its images, checked once where they enter; the files of images and exact depth."""
 
 from __future__ import annotations
 
@@ -115,8 +113,7 @@ class Frame:
 
     @lazy_property
     def inverse_depth(self) -> NDArray[np.float32]:
-        """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown; read on
-        first use.
+        """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown.
 
         Raises an `OmnistereoError` if the frame has none.
         """
@@ -126,8 +123,7 @@ class Frame:
         return read_inverse_depth(self.gt_path, self.rig.min_depth)
 
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
-        """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN =
-        unknown.
+        """Return the ground-truth sphere index n̂ on a grid, (H, W), not rounded; NaN = unknown.
 
         As in all published sets, ground-truth pixels are square and the middle row is the horizon:
         640 × 160 spans -45° to 45°. The pixel sampling is that of the grid. Each ray takes the
@@ -140,9 +136,7 @@ class Frame:
     def inverse_depth_along(
         self, rays: NDArray[np.float64], sampling: Sampling = "center"
     ) -> NDArray[np.float32]:
-        """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN
-        = unknown.
-        """
+        """Return the inverse depth, 1/m, of the ground-truth pixels nearest to rays (..., 3)."""
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
         grid = SphereGrid(width, height, (-highest, highest), sampling=sampling)
@@ -167,9 +161,7 @@ def _blocks_averaged(image: NDArray[Any], factor: int) -> NDArray[Any]:
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
-    """Return the images as arrays, checked against the cameras of the rig; errors as of
-    `Frame.of`.
-    """
+    """Return the images as arrays, checked against the cameras of the rig, as `Frame.of` does."""
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
     arrays = [_as_array(image, f"image {i}") for i, image in enumerate(images, 1)]
@@ -230,8 +222,7 @@ def _within_range(image: NDArray[Any], name: str) -> NDArray[np.float32]:
 
 
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
-    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and
-    errors.
+    """Read one image for each camera, in the order of the rig; see `read_image`.
 
     With a rig, number and sizes of the images are compared with its cameras before anything is
     decoded. One image for a rig holds all its cameras, see `consumer_images.split_image`.
@@ -250,8 +241,7 @@ def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDA
 
 
 def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDArray[np.float32]:
-    """Read a ground-truth panorama of inverse depth in 1/m, shape (H, W); 0 is infinitely far, NaN
-    unknown.
+    """Read a ground-truth panorama of inverse depth, 1/m, (H, W); 0 is infinitely far, NaN unknown.
 
     Float TIFF holds inverse depth as it is; in files of the current releases a thumbnail page
     precedes it. 16-bit PNG of the first release holds it in steps of 1/(65500 min_depth). Anything
@@ -271,8 +261,7 @@ _NODATA = (42113, 2, 0, "nan", True)
 
 
 def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
-    """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF, with the SHA-256 of its
-    values inside.
+    """Write a panorama of inverse depth, 1/m, as a deflated float32 TIFF with a checksum inside.
 
     The checksum stands in the description (tag 270), which other programs show or ignore: decoders
     do not notice a hole of zeros in a deflated file.
@@ -293,9 +282,7 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
 
 
 def _sum_of(values: NDArray[Any]) -> str:
-    """Return the checksum of a panorama: of its size and values, whatever the byte order of the
-    machine.
-    """
+    """Return the checksum of a panorama, size and values, in any byte order of the machine."""
     return checksum(repr(values.shape).encode() + values.astype("<f4").tobytes())
 
 

@@ -1,6 +1,4 @@
-"""What is computed on first use and then kept, and locks, in processes that fork while other
-threads compute.
-"""
+"""What is computed on first use and kept, and locks, where processes fork while threads compute."""
 
 import functools
 import os

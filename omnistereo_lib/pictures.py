@@ -41,8 +41,7 @@ _remarked: set[tuple[Path, str]] = set()
 
 
 def open_picture(path: str | Path) -> tuple[bytes, Any]:
-    """Return the content of an image file and what Pillow reads of its header, whose pixels are not
-    decoded yet.
+    """Return the content of an image file and what Pillow reads of its header, not yet decoded.
 
     Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or
     damaged where that shows without decoding it.
@@ -95,8 +94,7 @@ def _jpeg_end(content: bytes) -> int:
 
 
 def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> tuple[bytes, Any]:
-    """Return what `open_picture` does of a picture of gray or RGB values and of a size (width,
-    height), if given.
+    """Return what `open_picture` does, of a gray or RGB picture of a size (width, height) if given.
 
     Raises an `OmnistereoError` if it has others, or as `open_picture`.
     """
@@ -116,9 +114,7 @@ def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> 
 
 
 def pages_of(path: str | Path, picture: Any) -> int:
-    """Return how many pages a picture has; an `OmnistereoError` says that one does not lead to the
-    next.
-    """
+    """Return how many pages a picture has; refuse one whose pages do not lead to each other."""
     try:
         return int(getattr(picture, "n_frames", 1))
     except Exception as error:  # of many types
@@ -126,8 +122,7 @@ def pages_of(path: str | Path, picture: Any) -> int:
 
 
 def read_pixels(path: str | Path) -> NDArray[Any]:
-    """Return the pixels of an image file as they are stored: (height, width) or RGB, (height,
-    width, 3).
+    """Return the pixels of an image file as they are stored: (height, width) or (height, width, 3).
 
     They are uint8, or uint16 where the file has more bits. Raises an `OmnistereoError` as
     `check_image`, or if the pixels are damaged. A JPEG that is damaged in the middle is read as far
@@ -139,9 +134,7 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
 def _read_pixels(
     path: str | Path, image_size: tuple[int, int] | None
 ) -> tuple[NDArray[Any], int | None]:
-    """Return what `read_pixels` does, and the value that means white; None: 16 bits, which may not
-    all be used.
-    """
+    """Return what `read_pixels` does, and the value of white; None: some of 16 bits."""
     content, picture = check_image(path, image_size)
     try:
         if picture.format == "JPEG":
@@ -157,9 +150,7 @@ def _read_pixels(
 
 
 def _decode_jpeg(path: str | Path, content: bytes, mode: str) -> NDArray[np.uint8]:
-    """Return the pixels of a JPEG; warn if it is damaged, which other decoders print or keep for
-    themselves.
-    """
+    """Return the pixels of a JPEG; warn if it is damaged, which other decoders do not tell."""
     from simplejpeg import decode_jpeg
 
     space = "GRAY" if mode == "L" else "RGB"
@@ -174,9 +165,7 @@ def _decode_jpeg(path: str | Path, content: bytes, mode: str) -> NDArray[np.uint
 
 
 def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
-    """Return the pixels of a PGM or PPM, as text or bytes; raises a `ValueError` if there are too
-    few or too large.
-    """
+    """Return the pixels of a PGM or PPM; a `ValueError` if they are too few or too large."""
     kind, width, height, most = header[1], *map(int, header.groups()[1:])
     shape = (height, width) if kind in b"25" else (height, width, 3)
     count = math.prod(shape)
@@ -192,9 +181,7 @@ def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
 
 
 def _decode(content: bytes, picture: Any) -> NDArray[Any]:
-    """Return the pixels of a picture; Pillow reads all, and only checks colours of 16 bits, which
-    it would round.
-    """
+    """Return the pixels of a picture; of 16 bits a colour Pillow only checks: it would round."""
     import cv2
 
     tags = getattr(picture, "tag_v2", {})  # of a TIFF
@@ -217,8 +204,7 @@ def _decode(content: bytes, picture: Any) -> NDArray[Any]:
 
 
 def decode_tiff(content: bytes, page: int) -> NDArray[Any] | None:
-    """Return the pixels of a page of a TIFF as they are stored; None if it is neither plain nor
-    deflated.
+    """Return the pixels of a page of a TIFF as stored; None if it is neither plain nor deflated.
 
     Raises one of several types if they are damaged: zlib compares the sum of what it unpacks, which
     libtiff, of Pillow and OpenCV, does not. libtiff prints into the terminal, too.
@@ -280,8 +266,7 @@ def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, in
 
 
 def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Read an image: (height, width) if it is gray, else (height, width, 3) in RGB, of values from
-    0 to 255.
+    """Read an image: (height, width) in gray, else (height, width, 3) in RGB, from 0 to 255.
 
     They are uint8, or float32 where the file has other than 8 bits. Of a file of 16 bits white is
     its largest value of 8, 10, 12, 14 or 16 bits, as many as its pixels use; PGM and PPM state it.
@@ -305,9 +290,7 @@ def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> N
 
 
 def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read an image of a known size, such as a mask, as gray, shape (height, width); see
-    `read_image`.
-    """
+    """Read an image of a known size, such as a mask, as gray (height, width); see `read_image`."""
     image = read_image(path, image_size)
     return image if image.ndim == 2 else image.max(-1)
 
@@ -329,8 +312,7 @@ def find_pictures(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
 
 
 def write_image(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an image, gray (height, width) or RGB (height, width, 3), in the format of the file
-    name suffix.
+    """Write an image, gray or RGB (height, width, 3), in the format of the suffix.
 
     Values range from 0 to 255; NaN becomes black. uint16 is written as it is, for PNG. JPEG files
     have quality 95, OpenCV's default.
@@ -349,9 +331,7 @@ def write_image(path: str | Path, image: NDArray[Any]) -> None:
 
 
 def is_whole(path: str | Path) -> bool:
-    """Return whether an image file is there and complete, as far as can be seen without decoding
-    it.
-    """
+    """Return whether an image file is complete, as far as can be seen without decoding it."""
     try:
         open_picture(path)
     except OmnistereoError:

@@ -1,6 +1,4 @@
-"""How a long call says how far it is, everywhere the same: it calls `progress(done, total,
-what)`.
-"""
+"""How a long call says how far it is: it calls `progress(done, total, what)`."""
 
 from collections.abc import Callable
 from itertools import count
@@ -14,8 +12,6 @@ def silent(done: int, total: int, what: str) -> None:
 
 
 def counted(progress: Progress, total: int) -> Callable[[str], object]:
-    """Return what is called with the name of each part before it begins, and with "" when all are
-    done.
-    """
+    """Return what is called with the name of each part before it begins, and with "" at the end."""
     numbers = count()
     return lambda what: progress(next(numbers), total, what)

@@ -1,5 +1,4 @@
-"""What made a number: one block of facts in each folder of results, and in words how two of them
-differ.
+"""What made a number: a block of facts in each folder of results, and how two of them differ.
 
 In `provenance.json`, or beside the settings in `recording.json` and `world.json`:
 
@@ -96,9 +95,7 @@ def write_facts(path: Path, facts: Mapping[str, Any]) -> None:
 
 
 def read_facts(path: Path) -> dict[str, Any]:
-    """Return what an earlier run has stored in a JSON file; nothing if there is none, or it cannot
-    be read.
-    """
+    """Return what an earlier run has stored in a JSON file; nothing if it cannot be read."""
     with suppress(OmnistereoError):
         if isinstance(stored := parse_json(read_text(path), path), dict):
             return stored
@@ -112,16 +109,13 @@ def made_of(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def kept_precision(asked: Precision, stored: Mapping[str, Any]) -> Precision:
-    """Return the precision that is asked for; of "auto" the one in which the stored result was
-    begun.
-    """
+    """Return the precision asked for; of "auto" that in which the stored result was begun."""
     began = made_of(stored).get("precision")
     return began if asked == "auto" and began in ("float32", "bfloat16") else asked
 
 
 def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return in words what differs between two sets of facts, such as "method: zncc+sgm there,
-    volumenet here".
+    """Return in words how two sets of facts differ: "method: zncc+sgm there, volumenet here".
 
     The facts of a block of provenance count by themselves; version and threads are `notes`.
     """
@@ -129,9 +123,7 @@ def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
 
 
 def notes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return in words which of version and threads differ: a result that goes on with others has
-    other last digits.
-    """
+    """Return in words which of version and threads differ: they change the last digits."""
     return [words for name, words in _compared(there, here) if name in _NOTED]
 
 

@@ -1,5 +1,4 @@
-"""A ray caster for scenes of simple shapes: gray images and exact depth, on one core, without a
-file.
+"""A ray caster for scenes of simple shapes: gray images and exact depth, without a file.
 
 A scene is an array of primitives, each a shape in a frame of its own with a surface, and a record
 of its light. Rays find the first primitive along a tree of boxes. They see texture, a sun with
@@ -110,9 +109,7 @@ def _rotate(R: Any, a: Vector) -> Vector:
 
 @_compiled
 def _to_object(p: Any, o: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Return a ray in the frame of a primitive; no component of its direction is 0, so that all may
-    be divided by.
-    """
+    """Return a ray in the frame of a primitive, no component of its direction 0: all may divide."""
     c = p.center
     o = _rotate(p.rotation, (o[0] - c[0], o[1] - c[1], o[2] - c[2]))
     x, y, z = _rotate(p.rotation, d)
@@ -149,9 +146,7 @@ def _quadratic(a: float, b: float, c: float) -> tuple[float, float]:
 
 @_compiled
 def _depth_in_soft(p: Any, x: Vector) -> float:
-    """Return how far a point is outside of a SOFT, as a fraction of its half sizes; negative
-    inside.
-    """
+    """Return how far a point is outside of a SOFT, as a fraction of its half sizes."""
     # A superellipsoid: (|x|ⁿ + |y|ⁿ + |z|ⁿ)^(1/n) - 1 with n = 2^roundness, by squares and square
     # roots.
     a, b, c = (x[0] / p.half[0]) ** 2, (x[1] / p.half[1]) ** 2, (x[2] / p.half[2]) ** 2
@@ -174,9 +169,7 @@ def _depth_in_soft(p: Any, x: Vector) -> float:
 
 @_compiled
 def _march(p: Any, o: Vector, d: Vector, enters: float, leaves: float) -> float:
-    """Return where a ray meets a SOFT from outside, or infinity: steps that its bumps allow, then
-    bisection.
-    """
+    """Return where a ray meets a SOFT from outside, or infinity: safe steps, then bisection."""
     # How far outside a point is, over how fast that can change along the ray, is a step that the
     # bumps allow. The least step limits how often a ray steps.
     shortest = min(p.half[0], p.half[1], p.half[2])
@@ -230,9 +223,7 @@ def _normal(p: Any, x: Vector) -> Vector:
 
 @_compiled
 def _hit(p: Any, o: Vector, d: Vector, farthest: float) -> float:
-    """Return the distance along a ray to a primitive, or infinity if there is none before
-    `farthest`.
-    """
+    """Return the distance along a ray to a primitive, or infinity beyond `farthest`."""
     # In the frame of the primitive a box is aligned with the axes; an ellipsoid and a cylinder
     # become round once all lengths are divided by the half sizes:
     #     |o + t d|² = 1,   and for the cylinder the same in x and z, cut off where |y| = 1
@@ -266,9 +257,7 @@ def _hit(p: Any, o: Vector, d: Vector, farthest: float) -> float:
 def _first(
     prims: Any, tree: Any, o: Vector, d: Vector, farthest: float, any_will_do: bool
 ) -> tuple[float, int]:
-    """Return distance and number of the first primitive along a ray, or of any one in its way; -1:
-    none.
-    """
+    """Return distance and number of the first primitive along a ray, or of any; -1: none."""
     bounds, skip, leaf = tree
     tiny = 1e-12
     # One over the direction turns the divisions of every box into products.
@@ -338,9 +327,7 @@ def _lit(prims: Any, tree: Any, light: Any, x: Vector, normal: Vector) -> float:
 
 @_compiled
 def _surface(p: Any, o: Vector, d: Vector, t: float, pixel: float) -> tuple[float, float, Vector]:
-    """Return gray value, mirror reflectance and normal, against the ray, where a ray meets a
-    primitive.
-    """
+    """Return gray value, reflectance and normal, against the ray, where it meets a primitive."""
     at, along = _to_object(p, o, d)
     x = _point(at, along, t)
     normal = _normal(p, x)
@@ -361,9 +348,7 @@ def _surface(p: Any, o: Vector, d: Vector, t: float, pixel: float) -> tuple[floa
 def _look(
     prims: Any, tree: Any, light: Any, o: Vector, d: Vector, pixel: float
 ) -> tuple[float, float, int]:
-    """Return the gray value along a unit ray, its inverse distance in 1/m (0: sky) and the number
-    of the primitive.
-    """
+    """Return the gray value along a unit ray, its inverse distance (0: sky), and the primitive."""
     t, number = _first(prims, tree, o, d, np.inf, False)
     if number < 0:
         return _sky(d, light), 0.0, -1
@@ -393,8 +378,7 @@ def _look(
 def look(
     prims: Any, tree: Any, light: Any, origin: Any, rays: Any, visible: Any, pixel: float, gray: Any
 ) -> None:
-    """Write the image of a camera: its gray values, where an edge crosses a pixel the mean of three
-    rays.
+    """Write the image of a camera; where an edge crosses a pixel, the mean of three rays.
 
     Args:
         origin, rays: Shapes (3,) and (h, w, 3), unit vectors where visible, world frame.
@@ -461,9 +445,7 @@ def look(
 
 @_compiled
 def inverse_distances(prims: Any, tree: Any, origin: Any, rays: Any, out: Any) -> None:
-    """Write the inverse distance in 1/m to the first surface along unit rays (n, 3) from a point;
-    0: sky.
-    """
+    """Write the inverse distance, 1/m, along unit rays (n, 3) from a point; 0: sky."""
     o = (origin[0], origin[1], origin[2])
     for k in range(len(rays)):
         t, number = _first(prims, tree, o, (rays[k, 0], rays[k, 1], rays[k, 2]), np.inf, False)
@@ -471,8 +453,7 @@ def inverse_distances(prims: Any, tree: Any, origin: Any, rays: Any, out: Any) -
 
 
 def build_tree(prims: NDArray[Any]) -> Tree:
-    """Sort primitives into a tree of boxes, in the order in which rays from near the origin should
-    visit them.
+    """Sort primitives into a tree of boxes, in the order that rays from near the origin visit.
 
     Returns:
         bounds: (nodes, 6), lower and upper corner of the box of each node, world frame

@@ -1,5 +1,4 @@
-"""Random things for the scenes of the ray caster: surfaces, furniture, people, plants, cars, what
-stands in a street.
+"""Random things for the ray caster: surfaces, furniture, people, plants, cars, street furniture.
 
 An object stands on y = 0 of its builder; up is -y, as y is down everywhere. Lengths are metres.
 """
@@ -49,9 +48,7 @@ def plain(gray: float, **fields: float) -> Surface:
 def surface(
     rng: Generator, size: float, texture: int | None = None, blank: float = 0.3, **fields: Any
 ) -> Surface:
-    """Draw a surface for an object of a size in metres; `blank` is the probability of one without
-    texture.
-    """
+    """Draw a surface for an object of a size in metres; `blank`: how often without texture."""
     if texture is None:
         texture = tx.PLAIN if rng.random() < blank else int(rng.choice(_COMMON))
     u = rng.uniform
@@ -88,9 +85,7 @@ def surface(
 
 @dataclass
 class Builder:
-    """Adds primitives in a frame of its own: that of a room, of a table in it, of a cup on the
-    table.
-    """
+    """Adds primitives in a frame of its own: of a room, a table in it, a cup on the table."""
 
     rng: Generator
     primitives: list[NDArray[Any]]
@@ -103,9 +98,7 @@ class Builder:
         return cls(rng, [], np.eye(3), np.zeros(3))
 
     def at(self, place: ArrayLike, yaw: float = 0.0, tilt: ArrayLike = (0, 0, 0)) -> "Builder":
-        """Return a builder for an object at a place, tilted by an axis-angle vector and turned by a
-        yaw in radians.
-        """
+        """Return a builder at a place, tilted by an axis-angle vector and turned by a yaw."""
         R = rotation_from_axis_angle([0, yaw, 0]) @ rotation_from_axis_angle(tilt)
         return Builder(
             self.rng, self.primitives, self.R @ R, self.R @ np.asarray(place, float) + self.t

@@ -1,5 +1,4 @@
-"""Random scenes for the ray caster: rooms, streets, and things in the air, each made of 50 to 700
-simple shapes.
+"""Random scenes: rooms, streets, and things in the air, each of 50 to 700 simple shapes.
 
 A scene is there to be matched, not to be lived in: variety of depths, outlines, textures and light
 helps a network more than likeness does. Rooms and streets are built with the floor at y = 0, up is

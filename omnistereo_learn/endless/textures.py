@@ -1,5 +1,4 @@
-"""Procedural textures for the ray caster: gray values and holes as functions of a point in the
-frame of an object.
+"""Procedural textures: gray values and holes as functions of a point of an object.
 
 Every pattern takes the footprint of the pixel, its width on the surface. What is finer than the
 footprint fades to its mean, so nothing aliases with a single ray a pixel.
@@ -92,9 +91,7 @@ def _inside(distance: float, foot: float) -> float:
 
 @_compiled
 def surface_coordinates(p: Vector, normal: Vector) -> tuple[float, float, int]:
-    """Return coordinates on the face of a point (u along, v down where there is a down) and the
-    number of the face.
-    """
+    """Return coordinates on the face of a point (v down if there is a down), and its number."""
     x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
     if x > y and x > z:
         return p[2], p[1], 1 if normal[0] > 0 else 2
@@ -105,9 +102,7 @@ def surface_coordinates(p: Vector, normal: Vector) -> tuple[float, float, int]:
 
 @_compiled
 def _bricks(u: float, v: float, foot: float, face: int, q: Any, seed: int) -> float:
-    """Bricks, tiles or planks: q is their height, the width of a joint, and how different they
-    are.
-    """
+    """Bricks, tiles or planks: q is height, width of a joint, and how different they are."""
     row = math.floor(v / q[0])
     u += 0.5 * (random(int(row), face, 0, seed) > 0.5)
     column = math.floor(u)
@@ -120,9 +115,7 @@ def _bricks(u: float, v: float, foot: float, face: int, q: Any, seed: int) -> fl
 
 @_compiled
 def pane(u: float, v: float, foot: float, q: Any) -> float:
-    """Return whether a point of a façade lies on a window pane: q is the height of a floor and half
-    a window.
-    """
+    """Return whether a point lies on a pane: q is the height of a floor and half a window."""
     du, dv = u - math.floor(u) - 0.5, (v / q[0] - math.floor(v / q[0]) - 0.5) * q[0]
     return (
         _inside(q[1] - abs(du), foot)
@@ -203,9 +196,7 @@ def albedo(m: Any, p: Vector, normal: Vector, foot: float) -> float:
 
 @_compiled
 def is_hole(m: Any, p: Vector, normal: Vector) -> bool:
-    """Return whether a primitive is cut out at a point of its surface: leaves, bars, wire mesh, a
-    window opening.
-    """
+    """Return whether a primitive is cut out at a point: leaves, bars, wire mesh, a window."""
     q = m.cut
     if m.cutout == LEAVES:  # q: frequency and share of leaves
         i, j, k = math.floor(q[0] * p[0]), math.floor(q[0] * p[1]), math.floor(q[0] * p[2])

@@ -54,9 +54,7 @@ class Scene:
     def inverse_depth_along(
         self, rays: NDArray[Any], origin: NDArray[Any] | None = None
     ) -> NDArray[np.float32]:
-        """Return the inverse distance in 1/m to the first surface along unit rays (..., 3) from a
-        point; 0 is sky.
-        """
+        """Return the inverse distance, 1/m, along unit rays (..., 3) from a point; 0 is sky."""
         flat = np.ascontiguousarray(rays, np.float64).reshape(-1, 3)
         inverse = np.empty(len(flat), np.float32)
         inverse_distances(
@@ -65,8 +63,7 @@ class Scene:
         return inverse.reshape(np.shape(rays)[:-1])
 
     def image(self, camera: OcamCamera, pose: Pose) -> NDArray[np.float32]:
-        """Return the radiance that a camera sees, (height, width); 1 is white, NaN outside of the
-        image circle.
+        """Return the radiance that a camera sees, (height, width); 1 is white, NaN outside.
 
         `pose` takes camera coordinates to those of the scene.
         """
@@ -92,9 +89,7 @@ class EndlessFrame:
     def inverse_depth_along(
         self, rays: NDArray[Any], sampling: Sampling = "center"
     ) -> NDArray[np.float32]:
-        """Return the inverse depth in 1/m along unit rays (..., 3), exact whatever the sampling; 0
-        is sky.
-        """
+        """Return the exact inverse depth, 1/m, along unit rays (..., 3); 0 is sky."""
         return self.scene.inverse_depth_along(rays)
 
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
@@ -248,9 +243,7 @@ def _draw_camera(rng: Generator, width: int, fov_deg: float, bend: float) -> Oca
 def develop(
     radiance: list[NDArray[Any]], cameras: Sequence[OcamCamera], rng: Generator
 ) -> list[NDArray[np.uint8]]:
-    """Return what lenses and sensors make of radiance: vignetting, dirt, exposure, blur, noise,
-    tone, JPEG.
-    """
+    """Return what lens and sensor make of radiance: vignetting, dirt, blur, noise, JPEG."""
     bright = np.nanpercentile(np.concatenate([gray.ravel() for gray in radiance]), 90)
     exposure = rng.uniform(0.3, 1.1) / max(float(bright), 1e-3)
     gamma, falloff = rng.uniform(0.4, 0.8), rng.choice([0, rng.uniform(0.1, 0.7)])
@@ -284,9 +277,7 @@ def develop(
 
 
 def _with_dirt(light: NDArray[Any], rng: Generator) -> NDArray[Any]:
-    """Return an image through drops and dust on the lens: out of focus, they veil what is behind
-    them.
-    """
+    """Return an image through drops and dust on the lens: out of focus, they veil it."""
     height, width = light.shape
     veil = np.zeros_like(light)
     for _ in range(rng.integers(1, 8)):

@@ -1,6 +1,4 @@
-"""The table of the paper on any data: `methods` compared, `regions` of rays, `run` and resume,
-result `table`.
-"""
+"""The table of the paper on any data: `methods`, `regions` of rays, `run` and resume, `table`."""
 
 from omnistereo_learn.evaluate.methods import ABLATIONS, METHODS, select_methods
 from omnistereo_learn.evaluate.run import SCALES, Evaluation, Scale, evaluate_frame, find_sets

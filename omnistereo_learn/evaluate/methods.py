@@ -58,8 +58,7 @@ ABLATIONS = {
 def select_methods(
     names: Sequence[str] = (), ablations: Sequence[str] = ()
 ) -> tuple[EvaluatedMethod, ...]:
-    """Return the methods of these names and ablations, each once; the six of Table II if none is
-    given.
+    """Return the methods of these names and ablations, each once; default: the six of Table II.
 
     Raises an `OmnistereoError` if there is no such method or ablation.
     """

@@ -1,6 +1,4 @@
-"""Files of results: one per frame and method with a checksum of its inputs, and `results.json` of
-them all.
-"""
+"""Files of results: one per frame and method, and `results.json` of them all."""
 
 import json
 from pathlib import Path
@@ -17,9 +15,7 @@ _INPUTS = ("config", "methods", "data", "weights")
 
 
 def config_checksum(results: Record, *more: str) -> str:
-    """Return the SHA-256 of the settings, and of more of the inputs, as compact JSON with sorted
-    keys.
-    """
+    """Return the SHA-256 of settings and inputs, as compact JSON with sorted keys."""
     settings = {name: results[name] for name in ("config", "methods", *more)}
     return checksum(json.dumps(settings, sort_keys=True, separators=(",", ":")).encode())
 
@@ -62,9 +58,7 @@ def read_errors(path: Path, inputs_sha256: str) -> Record | None:
 
 
 def read_record(path: Path) -> Record:
-    """Read a results.json; an `OmnistereoError` says that the file is missing, damaged or something
-    else.
-    """
+    """Read a results.json; an `OmnistereoError` if it is missing, damaged or something else."""
     record = read_data(path)
     if not isinstance(record, dict) or not {*_INPUTS, "frames"} <= record.keys():
         raise OmnistereoError(
@@ -79,9 +73,7 @@ def read_record(path: Path) -> Record:
 
 
 def _check_results(record: Record) -> None:
-    """Raise one of several types if settings or results are not of the form that `write_record` is
-    given.
-    """
+    """Raise one of several types if settings or results are not as `write_record` gets them."""
     for name in ("width", "height", "num_spheres"):
         check_number(record["config"][name], name, 1, 1_000_000, whole=True)
     if not isinstance(record["config"]["rig"], str) or not all(
@@ -101,9 +93,7 @@ def _check_results(record: Record) -> None:
 
 
 def _check_errors(errors: Record) -> None:
-    """Raise one of several types if the errors of a frame are not of the form that `evaluate_frame`
-    gives them.
-    """
+    """Raise one of several types if errors are not as `evaluate_frame` gives them."""
     for metric in METRICS:
         if errors["figures"][metric] is not None:
             check_number(errors["figures"][metric], metric, 0, 1e9)

@@ -1,5 +1,4 @@
-"""Regions of a panorama: by depth, at depth discontinuities, on thin objects, by the number of
-cameras that see it.
+"""Regions of a panorama: by depth, discontinuities, thin objects, number of cameras.
 
 Regions depend only on the ground-truth index n̂, so that all methods are judged on the same rays.
 """
@@ -27,8 +26,7 @@ _BEHIND = 1.05  # times the depth of a surface; less is the slope of the surface
 
 
 def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[np.bool_]]:
-    """Return the region masks (H, W) of a panorama, of its ground-truth index n̂ (H, W), not
-    rounded, NaN unknown.
+    """Return the region masks (H, W) of a panorama, given its ground-truth index n̂ (H, W).
 
     "all". "sky" (infinitely far), "far", "middle" and "near": thirds of the inverse depth swept,
     beyond 3 D_min, from 3 to 1.5 D_min, and nearer. "at edges": `near_edges`; "off edges": all
@@ -62,8 +60,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
 
 
 def near_edges(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of the rays within `EDGE_PX` pixels of a depth discontinuity, also
-    across the seam.
+    """Return the mask (H, W) of the rays within `EDGE_PX` of a depth discontinuity.
 
     There n̂ of two neighbours differs by more than `DISCONTINUITY_PERCENT` of N. NaN is not a
     discontinuity.
@@ -75,8 +72,7 @@ def near_edges(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bo
 
 
 def near_handovers(visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of the rays near which the view of a camera ends, across the seam as
-    well.
+    """Return the mask (H, W) of the rays near which the view of a camera ends.
 
     `visible` (cameras, H, W) says which points are in the view of which camera. "Near": within
     `HANDOVER_DEG`.
@@ -87,8 +83,7 @@ def near_handovers(visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def occluded_points(gt_index: NDArray[np.float64], sweep: SphereSweep) -> NDArray[np.bool_]:
-    """Return the mask (cameras, H, W) of the points that a camera cannot see, by the ground-truth
-    index n̂ (H, W).
+    """Return the mask (cameras, H, W) of points that a camera cannot see, given n̂ (H, W).
 
     The line of sight to such a point gets behind a surface: at one of `_SIGHT_STEPS` it is farther
     from the sweep centre than the panorama's surface in that direction, by more than `_BEHIND`. The
@@ -127,8 +122,7 @@ def _within(across: NDArray[np.bool_], down: NDArray[np.bool_], pixels: int) -> 
 
 
 def thin_objects(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of the rays on objects narrower than `THIN_DEG` in front of a
-    background.
+    """Return the mask (H, W) of the rays on objects narrower than `THIN_DEG`.
 
     These are the rays where a gray-value opening of n̂ (near is high) lowers n̂ by more than
     `DISCONTINUITY_PERCENT` of N. Its square has sides of 2 r + 1 pixels with r = `THIN_DEG` / 2 in
@@ -173,9 +167,7 @@ def error_sums(
 
 
 def sums_to_metrics(sums: ArrayLike) -> NDArray[np.float64]:
-    """Return the five `METRICS`, shape (..., 5), of `SUMS`, shape (..., 6); NaN where there are no
-    rays.
-    """
+    """Return `METRICS` (..., 5) of `SUMS` (..., 6); NaN where there are no rays."""
     rays, above, total, squares = np.split(np.asarray(sums, np.float64), [1, 4, 5], axis=-1)
     with np.errstate(invalid="ignore"):
         return np.concatenate([100 * above / rays, total / rays, np.sqrt(squares / rays)], -1)

@@ -78,8 +78,7 @@ class Job(NamedTuple):
 
 
 def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]:
-    """Return the folders of data sets by name; raise an `OmnistereoError` if one is missing or two
-    have one name.
+    """Return the folders of data sets by name; refuse a missing one, or two of one name.
 
     "sunny" means data_samples/sunny/test, or with split "train" the set sunny-train. Anything else
     is a folder, called by its own name or, if it is a split, also by that of its parent, such as
@@ -228,9 +227,7 @@ class Evaluation:
         return asdict(self.scale) | {"provenance": made}
 
     def _compare(self, stored: Record) -> None:
-        """Refuse a folder of another scale, rig or precision, in words; more methods, sets and
-        frames may join it.
-        """
+        """Refuse a folder of another scale, rig or precision; methods and frames may join it."""
         made = self.facts["provenance"]
         # The precision counts once there are networks on both sides.
         there = {name: fact for name, fact in made_of(stored).items() if name in made}
@@ -253,9 +250,7 @@ class Evaluation:
         return read_errors(self.path(job), self._inputs_sha256(job))
 
     def run(self, jobs: Sequence[Job] | None = None) -> Iterator[Job]:
-        """Do the jobs (default: all) that have no result yet; yield each job once its result is
-        written.
-        """
+        """Do the jobs (default: all) without a result; yield each once its result is written."""
         load_cost = cache(
             partial(EvaluatedMethod.load_cost, folder=self.weights, precision=self.precision)
         )
@@ -306,8 +301,7 @@ class Evaluation:
         }
 
     def results(self) -> Record:
-        """Return the `inputs`, their "config_sha256", and "frames": set → number → method →
-        `evaluate_frame`.
+        """Return `inputs`, "config_sha256", and "frames": set → number → method → its errors.
 
         Raises an `OmnistereoError` if a result is missing or does not fit.
         """
@@ -379,9 +373,7 @@ def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
 
 
 def _read_rig(path: str | Path, data: Dataset, max_fov_deg: float | None) -> Rig:
-    """Read a rig and give its first camera the pose of the first camera of a data set; the spheres
-    stay the same.
-    """
+    """Read a rig and give its first camera the pose of that of a data set: the spheres stay."""
     own, rig = data.rig, read_any_rig(path, None, max_fov_deg, keep_frame=True)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:

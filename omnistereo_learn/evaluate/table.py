@@ -1,6 +1,4 @@
-"""Result tables, as in Table II and by region, as text, Markdown and CSV, with bootstrap intervals
-over frames.
-"""
+"""Result tables, as in Table II and by region: text, Markdown, CSV, bootstrap intervals."""
 
 import csv
 import io
@@ -26,8 +24,7 @@ _RESAMPLES, _SEED = 10_000, 0
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of words, under `heads`, and numbers, under `columns`: arrays (columns, 3) of value,
-    lower and upper end.
+    """Rows of words, under `heads`, and numbers, under `columns`: (columns, 3), value and ends.
 
     NaN is left open. The caption has the settings of all rows.
     """
@@ -70,9 +67,7 @@ class Table:
         )
 
     def csv(self) -> str:
-        """Return the table as comma-separated values with six digits, three columns for each
-        number.
-        """
+        """Return the table as CSV with six digits, three columns for each number."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
@@ -86,9 +81,7 @@ class Table:
         return file.getvalue()
 
     def _texts(self, cells: NDArray[np.float64]) -> tuple[list[str], list[str]]:
-        """Return values and intervals, percents of rays with the digits of the paper, errors with
-        one more.
-        """
+        """Return values and intervals, percents with the paper's digits, errors with one more."""
         texts = [
             ["" if np.isnan(x) else f"{x:.{1 if '>' in column else 2}f}" for x in cell]
             for column, cell in zip(self.columns, cells, strict=True)
@@ -101,8 +94,7 @@ class Table:
 def bootstrap(
     samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]]
 ) -> NDArray[np.float64]:
-    """Return a statistic of frames with the ends of its percentile bootstrap interval of 95 %,
-    shape (C, 3).
+    """Return a statistic of frames with its percentile bootstrap interval of 95 %, (C, 3).
 
     `samples` has shape (frames, K); `statistic` maps its mean over frames, (..., K), to (..., C).
     Frames are drawn with replacement and a fixed seed (Efron 1979). With few frames the interval is
@@ -121,8 +113,7 @@ def bootstrap(
 
 
 def errors_table(results: Record) -> Table:
-    """Return the table of the paper (Table II): for each method and set the five metrics, means
-    over the frames.
+    """Return the table of the paper (Table II): each method and set, means over the frames.
 
     Frames without rays to evaluate are left out.
     """
@@ -144,9 +135,7 @@ def errors_table(results: Record) -> Table:
 
 
 def regions_table(results: Record) -> Table:
-    """Return the five metrics of all rays of each region, and of all but the sky, of all frames of
-    a set together.
-    """
+    """Return the metrics of all rays of each region, of all but the sky, of a set's frames."""
     methods, rows = _methods(results), []
     for name in _sets(results):
         frames = results["frames"][name].values()
@@ -165,8 +154,7 @@ def regions_table(results: Record) -> Table:
 
 
 def _sums(regions: dict[str, dict[str, float]], name: str) -> NDArray[np.float64]:
-    """Return the `SUMS` of a region of a frame; without the sky, those of all rays less those of
-    the sky.
+    """Return the `SUMS` of a region; without the sky, of all rays less those of the sky.
 
     A frame of fewer cameras has no rays that are seen by more.
     """

@@ -29,17 +29,14 @@ _HELD_OUT = 1 << 40  # the seed of the endless worlds of validation; no recipe h
 
 
 def folders_of(recipe: Recipe) -> list[str | Path]:
-    """Return what a recipe trains on unless told otherwise: training sets of data_samples, and
-    "endless".
-    """
+    """Return what a recipe trains on by default: training sets of data_samples, "endless"."""
     return [
         world if world == ENDLESS else DATA / world / "train" for world in recipe.worlds.split()
     ]
 
 
 class TrainingFrames:
-    """The frames of data sets that have ground truth: nine of ten to train on, every tenth for
-    validation.
+    """The frames of data sets with ground truth: every tenth for validation, the others to train.
 
     `data` is a folder that `load_dataset` reads, or several. "endless" among them stands for
     endless worlds, in which every frame is a new one: of "endless", "endless" and two folders,
@@ -87,9 +84,7 @@ class TrainingFrames:
         return SphereGrid(*size, num_spheres=self.recipe.num_spheres, min_depth=min_depth)
 
     def training_frame(self, number: int) -> Frame | EndlessFrame:
-        """Return the frame of a micro-batch, counted over all steps; frames of folders once per
-        epoch, shuffled.
-        """
+        """Return the frame of a micro-batch, over all steps; once per epoch, shuffled."""
         endless, number = self._split(number)
         if endless:
             return self.endless.frame(number)
@@ -107,18 +102,14 @@ class TrainingFrames:
         )
 
     def _split(self, number: int) -> tuple[bool, int]:
-        """Return whether a micro-batch is of an endless world, and its number among those or among
-        the others.
-        """
+        """Return whether a micro-batch is of an endless world, and its number among its kind."""
         endless, total = self._endless_of
         before, after = number * endless // total, (number + 1) * endless // total
         return after > before, before if after > before else number - before
 
 
 class SweptFrames(TrainingFrames):
-    """Training frames and the sweep of one rig at a time, for networks that match pairs of
-    spherical images.
-    """
+    """Training frames and the sweep of one rig at a time, for networks of pairs of images."""
 
     def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
@@ -138,9 +129,7 @@ class SweptFrames(TrainingFrames):
         return other
 
     def use(self, frame: Frame | EndlessFrame) -> NDArray[np.float32]:
-        """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W),
-        kept for later.
-        """
+        """Select the rig of a frame; return its ground-truth index (H, W), not rounded."""
         if frame.rig not in self._sweeps:
             assert frame.rig.min_depth is not None  # the constructor refuses others
             self._sweeps[frame.rig] = SphereSweep(
@@ -157,9 +146,7 @@ class SweptFrames(TrainingFrames):
         return self._gt_index[frame.gt_path]
 
     def images(self, frame: Frame | EndlessFrame, rng: np.random.Generator | None) -> list[Tensor]:
-        """Return the normalised images of a frame; with an rng, each camera with a random gain and
-        gamma.
-        """
+        """Return the normalised images of a frame; with an rng, random gains and gammas."""
         if rng is None:
             return self.sweep.normalize_images(frame.images)
         gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))

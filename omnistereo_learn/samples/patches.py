@@ -26,9 +26,7 @@ _OCCLUSION_STEPS = 12  # points tested between a camera and a scene point
 
 @dataclass(frozen=True)
 class PatchBatch:
-    """Patches (2 K, 9, 9) of two cameras: K pairs that match, then K of the same rays that do
-    not.
-    """
+    """Patches (2 K, 9, 9) of two cameras: K pairs that match, then K that do not."""
 
     left: Tensor
     right: Tensor
@@ -54,9 +52,7 @@ class PatchSamples(SweptFrames):
         )
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> PatchBatch:
-        """Sample rays of one frame with a camera pair each, and spheres on which they match and do
-        not.
-        """
+        """Sample rays of a frame with a camera pair each, and spheres that match and not."""
         index = self.use(frame)
         images = [image.numpy() for image in self.images(frame, rng if augment else None)]
         sides: tuple[list[list[NDArray[Any]]], list[list[NDArray[Any]]]] = ([], [])
@@ -87,8 +83,7 @@ class PatchSamples(SweptFrames):
     def draw_rays(
         self, index: NDArray[Any], i: int, j: int, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Draw rays that cameras i and j both see, and spheres on which they show the same point
-        and another.
+        """Draw rays that cameras i and j both see, and spheres of one point and of another.
 
         Distances are in pixels between the two cameras' views of the point.
 
@@ -131,8 +126,7 @@ class PatchSamples(SweptFrames):
         gt_index: NDArray[Any],
         away: ArrayLike,
     ) -> NDArray[Any]:
-        """Return how far apart, in pixels, two cameras show a point on a sphere `away` spheres off
-        its own.
+        """Return how far apart, px, two cameras show a point on a sphere `away` from its own.
 
         On its own sphere they show it at the same place. `away` = 1 gives pixels per sphere.
         """
@@ -147,8 +141,7 @@ class PatchSamples(SweptFrames):
     def _apparent_direction(
         self, camera: int, rays: NDArray[Any], gt_index: NDArray[Any], sweep_index: NDArray[Any]
     ) -> NDArray[Any]:
-        """Return the direction (K, 3) at which the panorama of a camera on sphere `sweep_index`
-        shows a scene point.
+        """Return the direction (K, 3) at which a camera's panorama of a sphere shows a point.
 
         It is where the line of sight from the camera centre c, direction u, meets the sphere: |d c
         + s u| = 1.
@@ -177,9 +170,7 @@ class PatchSamples(SweptFrames):
         columns: NDArray[Any],
         gt_index: NDArray[Any],
     ) -> NDArray[Any]:
-        """Return whether something is between a camera and the points of rays, by the ground truth
-        from the centre.
-        """
+        """Return whether something is between a camera and points, by the ground truth."""
         center = self.sweep.rig.T_rig_cam[camera].t
         points = self.rays[rows, columns] / np.maximum(self._inverse(gt_index), 1e-6)
         occluded = np.zeros(len(points), bool)
@@ -193,8 +184,7 @@ class PatchSamples(SweptFrames):
     def patches(
         self, image: NDArray[Any], camera: int, pixel: NDArray[Any], index: NDArray[Any]
     ) -> NDArray[Any]:
-        """Cut patches (K, 9, 9) around pixels (K, 2) out of the panoramas of one camera on spheres
-        `index` (K,).
+        """Cut patches (K, 9, 9) around pixels (K, 2) out of a camera's panoramas of spheres (K,).
 
         As in `MCCNN`, they are 0 where the camera does not see and above and below the panorama.
         """
@@ -239,9 +229,7 @@ class HingeObjective(_PatchObjective):
         self.margin = margin
 
     def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
-        """Return the loss, and the fraction of rays whose non-match looks no less alike than their
-        match.
-        """
+        """Return the loss, and the fraction of rays whose non-match looks no worse."""
         match, other = self.scores(batch)
         return (self.margin + other - match).clamp_min(0).mean(), (other >= match).float().mean()
 

@@ -24,9 +24,7 @@ _TRIES = 10
 
 @dataclass(frozen=True)
 class Strip:
-    """The feature columns start … stop - 1 that cameras i and j share, and their labelled
-    pixels.
-    """
+    """Feature columns start … stop - 1 that cameras i and j share, and their labelled pixels."""
 
     i: int
     j: int
@@ -38,9 +36,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class SphereBatch:
-    """A micro-batch: spherical images (cameras, S, H, W) of S spheres, NaN where unseen, and
-    labelled strips.
-    """
+    """A micro-batch: images (cameras, S, H, W) of S spheres, NaN unseen, and labelled strips."""
 
     spherical_images: Tensor
     strips: list[Strip]
@@ -118,9 +114,7 @@ class SphereSamples(SweptFrames):
     def _draw_spheres(
         self, index: NDArray[Any], frame: Frame, rng: np.random.Generator
     ) -> tuple[range, NDArray[Any]]:
-        """Draw spheres of one block: all with enough positives about equally often, and sometimes
-        others.
-        """
+        """Draw spheres of one block: enough positives equally often, at times others."""
         N = self.grid.num_spheres
         inside = index[(index > -0.5) & (index < N - 0.5)]
         enough = np.bincount(np.rint(inside).astype(int), minlength=N) >= self.recipe.min_positives
@@ -149,9 +143,7 @@ class SphereSamples(SweptFrames):
         pairs: list[Pair],
         rng: np.random.Generator,
     ) -> list[Strip]:
-        """Label the columns that each pair shares, given bool (cameras, S, H, W), (S, H, W) and (H,
-        W).
-        """
+        """Label the columns that each pair shares, of (cameras, S, H, W), (S, H, W) and (H, W)."""
         enough = positive.sum(axis=(1, 2), keepdims=True) >= self.recipe.min_positives
         known = known & (enough | ~positive)  # each of a few would weigh too much
         positive &= enough
@@ -170,9 +162,7 @@ class SphereSamples(SweptFrames):
     def _draw_labels(
         self, common: NDArray[Any], positive: NDArray[Any], rng: np.random.Generator
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Draw, on every sphere, positives and some negatives for each; return a mask, and the
-        labels in it.
-        """
+        """Draw, on every sphere, positives and some negatives for each; return mask and labels."""
         labelled = np.zeros(common.shape, bool)
         for k in range(len(common)):
             positives = sample_true_indices(common[k] & positive[k], self.recipe.max_positives, rng)
@@ -190,9 +180,7 @@ class SphereObjective(nn.Module):
         self.network = network
 
     def forward(self, batch: SphereBatch) -> tuple[Tensor, Tensor]:
-        """Return the loss and the balanced error: the mean of the fractions of wrong positives and
-        wrong negatives.
-        """
+        """Return the loss and the balanced error: the mean of wrong positives and negatives."""
         score, label = self._scores(batch), torch.cat([strip.label for strip in batch.strips])
         fraction = torch.stack([(label == 0).float().mean(), (label == 1).float().mean()])
         weight = 0.5 / fraction.clamp_min(1e-9)[label.long()]
@@ -212,9 +200,7 @@ class SphereObjective(nn.Module):
         return network.score_pixels(torch.cat(pixels))
 
     def _match_together(self, cameras: list[Features], strips: list[Strip]) -> Tensor:
-        """Match all strips at once, widened to the widest, so that batch norms see the whole
-        micro-batch.
-        """
+        """Match all strips at once, as wide as the widest: batch norms see the micro-batch."""
         widest, halo = max(strip.stop - strip.start for strip in strips), self.network.match_halo
         left, right = (
             torch.cat(

@@ -23,9 +23,7 @@ from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, re
 
 @dataclass(frozen=True)
 class VolumeSample:
-    """One frame: what `VolumeNet.correlation` takes, and the true sphere index (W, H), NaN where
-    unknown.
-    """
+    """One frame: what `VolumeNet.correlation` takes, and the true index (W, H), NaN unknown."""
 
     images: list[Tensor]
     masks: list[Tensor]
@@ -65,9 +63,7 @@ class VolumeSamples(TrainingFrames):
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
     def view(self, rng: np.random.Generator | None) -> tuple[NDArray[Any], float]:
-        """Draw the rotation of a grid, any way about the vertical and tilted by ±10°, and the scale
-        of its depths.
-        """
+        """Draw the rotation of a grid, any way about the vertical, ±10° tilted, and a scale."""
         if rng is None:
             return np.eye(3), 1.0
         tilt, axis, roll = (
@@ -80,9 +76,7 @@ class VolumeSamples(TrainingFrames):
         return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
 
     def _sample(self, frame: Frame | EndlessFrame, rng: np.random.Generator | None) -> VolumeSample:
-        """Return a frame on a grid; with an rng, rotated, scaled and mirrored at random, its images
-        changed.
-        """
+        """Return a frame on a grid; with an rng, rotated, scaled, mirrored, its images changed."""
         rotation, scale = self.view(rng)
         assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
         grid = self.grid_of(scale * frame.rig.min_depth)
@@ -105,9 +99,7 @@ class VolumeSamples(TrainingFrames):
 
 
 def _shared_rays(coordinates: list[Tensor], shape: torch.Size) -> Tensor:
-    """Return on which rays of a panorama (W, H) two cameras see a common cell, given
-    `feature_coordinates`.
-    """
+    """Return on which rays (W, H) two cameras see a common cell of `feature_coordinates`."""
     visible = torch.stack([~uv[..., 0].isnan() for uv in coordinates])
     shared = (visible.sum(0) > 1).any(-1)
     return interpolate(shared[None, None].float(), shape, mode="nearest")[0, 0] > 0
@@ -116,9 +108,7 @@ def _shared_rays(coordinates: list[Tensor], shape: torch.Size) -> Tensor:
 def _other_look(
     image: NDArray[np.float32], rng: np.random.Generator | None, device: torch.device
 ) -> Tensor:
-    """Copy an image in [0, 255] to a device; with an rng, change gain, gamma, sharpness and noise
-    of its camera.
-    """
+    """Copy an image in [0, 255] to a device; with an rng, change how its camera sees."""
     if rng is None:
         return to_device(image, device)
     if rng.random() < 0.3:
@@ -134,9 +124,7 @@ def _other_look(
 
 
 class VolumeObjective(nn.Module):
-    """The cross-entropy of the sphere index, its true value divided between the two spheres next to
-    it.
-    """
+    """The cross-entropy of the sphere index, its true value shared by the two spheres beside it."""
 
     def __init__(self, network: VolumeNet, grid: SphereGrid) -> None:
         super().__init__()

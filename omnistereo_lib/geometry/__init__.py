@@ -1,3 +1,1 @@
-"""Cameras, poses, rigs and the spheres that are swept: only NumPy (paper, Section III-A and
-III-B).
-"""
+"""Cameras, poses, rigs, and the spheres swept: only NumPy (paper, Section III-A and III-B)."""

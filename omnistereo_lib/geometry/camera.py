@@ -60,20 +60,16 @@ class OcamCamera:
     True
     """
 
-    poly: NDArray[
-        np.float64
-    ]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
-    inv_poly: NDArray[
-        np.float64
-    ]  #: inverse polynomial r(t), likewise; see `fit_inverse_polynomial`
+    #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
+    poly: NDArray[np.float64]
+    #: inverse polynomial r(t), likewise; see `fit_inverse_polynomial`
+    inv_poly: NDArray[np.float64]
     center: tuple[float, float]  #: image of the optical axis (u, v), pixels
-    affine: tuple[
-        float, float, float
-    ]  #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
+    #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
+    affine: tuple[float, float, float]
     image_size: tuple[int, int]  #: width and height, pixels
-    max_fov_deg: float = (
-        220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
-    )
+    #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
+    max_fov_deg: float = 220.0
     #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid;
     #: None: everywhere
     mask: NDArray[np.bool_] | None = None
@@ -261,9 +257,7 @@ class OcamCamera:
         )
 
     def contains(self, uv: Array) -> Array:
-        """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape
-        (...).
-        """
+        """Return whether pixels (..., 2) lie inside the image and on the mask: (...)."""
         width, height = self.image_size
         u, v = uv[..., 0], uv[..., 1]
         low, right, bottom = -_EDGE, width - 1 + _EDGE, height - 1 + _EDGE
@@ -292,9 +286,7 @@ class OcamCamera:
         return inside if self.mask is None else inside & self.mask
 
     def reduced(self, factor: int) -> OcamCamera:
-        """Return the camera of images in which blocks of factor × factor pixels are averaged to
-        one.
-        """
+        """Return the camera of images whose blocks of factor × factor pixels are averaged."""
         if factor == 1:
             return self
         if factor not in self._reduced:
@@ -324,8 +316,7 @@ class OcamCamera:
         )
 
     def inverse_poly_error_px(self) -> float:
-        """Return the largest distance in pixels between `poly` and `inv_poly`, inside the image and
-        the field of view.
+        """Return the largest distance in pixels between `poly` and `inv_poly`, where it sees.
 
         Raises an `OmnistereoError` if the direct polynomial does not reach as far.
         """
@@ -335,9 +326,7 @@ class OcamCamera:
         return float(np.abs(self._radius_by_root(t[inside], t[inside][-1]) - radii[inside]).max())
 
     def _radius_by_root(self, t: ArrayLike, max_t: float) -> NDArray[np.float64]:
-        """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's
-        method.
-        """
+        """Find the smallest root r > 0 of f(r) cos t = r sin t, t ≤ max_t, by Newton's method."""
         # A ray at angle t meets f(r) where tan t = f(r) / r. Written without a quotient it has no
         # pole, and Newton's method starts from samples of the branch.
         radii, angles = _monotone_branch(self.poly, max_t, 3 * max(self.image_size))
@@ -404,9 +393,7 @@ def fit_inverse_polynomial(
 
 
 def _branch_end(poly: NDArray[np.float64], max_t: float, max_radius: float) -> tuple[float, float]:
-    """Return the radius and the angle t up to which the angle grows with the radius, or max_t is
-    reached.
-    """
+    """Return the radius and the angle t up to which the angle grows with the radius, or max_t."""
     radii = np.linspace(0.0, max_radius, 4096)
     angles = np.arctan2(_horner(poly, radii), radii)
     # stops at NaN from overflow as well
@@ -418,9 +405,7 @@ def _branch_end(poly: NDArray[np.float64], max_t: float, max_radius: float) -> t
 def _monotone_branch(
     poly: NDArray[np.float64], max_t: float, max_radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sample radii and angles t of the direct polynomial from the axis to max_t; refuse one that
-    ends earlier.
-    """
+    """Sample radii and angles t of the direct polynomial up to max_t; refuse if it ends before."""
     if poly[0] >= 0:
         raise OmnistereoError(
             f"poly starts with {poly[0]}; expected a0 < 0 (minus the focal length in px)"

@@ -30,8 +30,7 @@ def field_of_view_deg(
     max_fov_deg: float | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> float:
-    """Return the full field of view of a lens in degrees, as far as the model is one to one and
-    pixels see it.
+    """Return the full field of view of a lens in degrees: where the model is one to one and seen.
 
     Args:
         project, image_size, mask: As for `fit_ocam`.
@@ -56,9 +55,7 @@ def field_of_view_deg(
 
 
 def one_to_one(project: Projection) -> tuple[Floats, Floats, Floats]:
-    """Return the angles θ up to which radii grow, their pixels (rings, azimuths, 2), and radii
-    (rings, azimuths).
-    """
+    """Return the angles θ up to which radii grow, pixels (rings, azimuths, 2), and their radii."""
     theta = np.arange(0.0, np.pi, ANGLE_STEP)
     uv, valid = project(ring_rays(theta))
     uv = np.where(valid[..., None], uv, np.nan)

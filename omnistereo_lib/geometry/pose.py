@@ -70,9 +70,7 @@ class Pose:
 
     @classmethod
     def from_vector(cls, theta: ArrayLike) -> Pose:
-        """Return M(Θ) for Θ = (r, t): axis-angle in radians, then metres, 6 numbers (paper, Section
-        III-A).
-        """
+        """Return M(Θ), Θ = (r, t): axis-angle in radians, then metres (paper, Section III-A)."""
         theta = np.asarray(theta, np.float64)
         if theta.shape != (6,):
             raise OmnistereoError(
@@ -94,9 +92,7 @@ class Pose:
     @overload
     def __matmul__(self, other: ArrayLike) -> Floats: ...
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Floats:
-        """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from
-        frame b to a.
-        """
+        """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A), or take points (..., 3) to a."""
         if isinstance(other, Pose):
             return Pose(self.R @ other.R, self.R @ other.t + self.t)
         points = np.asarray(other, np.float64)
@@ -115,9 +111,7 @@ class Pose:
 
 
 def rotation_from_axis_angle(r: ArrayLike) -> Floats:
-    """Return the rotation matrix R(r), shape (3, 3), by Rodrigues' formula; r in radians, shape
-    (3,).
-    """
+    """Return the rotation matrix R(r), (3, 3), by Rodrigues' formula; r in radians, (3,)."""
     r = np.asarray(r, np.float64)
     angle = np.linalg.norm(r)
     K = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
@@ -126,9 +120,7 @@ def rotation_from_axis_angle(r: ArrayLike) -> Floats:
 
 
 def nearest_rotation(M: Floats) -> Floats:
-    """Return the rotation nearest to a matrix (3, 3), by its singular values: of a sum of
-    rotations, their mean.
-    """
+    """Return the rotation nearest to a matrix (3, 3): of a sum of rotations, their mean."""
     # With M = U S Vᵀ it is U diag(1, 1, ±1) Vᵀ, the sign such that the determinant is 1 (Kabsch
     # 1976).
     U, _, Vt = np.linalg.svd(M)

@@ -44,15 +44,12 @@ class Rig:
     """
 
     cameras: Sequence[OcamCamera]
-    T_rig_cam: Sequence[
-        Pose
-    ]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
-    min_depth: float | None = (
-        None  #: nearest depth in metres that the rig file proposes for a sweep
-    )
-    T_rig_file: Pose | None = (
-        None  #: from the frame of the file that it was read from to the rig frame
-    )
+    #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
+    T_rig_cam: Sequence[Pose]
+    #: nearest depth in metres that the rig file proposes for a sweep
+    min_depth: float | None = None
+    #: from the frame of the file that it was read from to the rig frame
+    T_rig_file: Pose | None = None
     #: How far each camera may be off, one for each; empty: the rig does not say.
     deviations: Sequence[Deviation] = ()
 
@@ -102,9 +99,7 @@ class Rig:
         return np.stack([pose.t for pose in self.T_rig_cam])
 
     def image_sizes(self, count: int) -> list[tuple[int, int]]:
-        """Return width and height of every camera; an `OmnistereoError` if `count` images are not
-        one per camera.
-        """
+        """Return (width, height) of every camera; refuse `count` images if not one per camera."""
         if count != len(self):
             raise OmnistereoError(
                 f"there are {count} images for {len(self)} cameras. Pass one image per camera, in"
@@ -196,9 +191,7 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
 
 
 def _neighbours(rig: Rig) -> list[Pair]:
-    """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera
-    0.
-    """
+    """Return the ring of cameras by the azimuth θ of their optical axes, starting at camera 0."""
     # The third column of R is the optical axis, z, in the rig frame.
     axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
     azimuth = np.arctan2(axes[:, 0], axes[:, 2])

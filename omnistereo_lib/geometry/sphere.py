@@ -54,10 +54,8 @@ class SphereGrid:
 
     width: int  #: panorama size W in pixels; θ spans the full circle over the columns
     height: int  #: panorama size H in pixels
-    phi_deg: tuple[float, float] = (
-        -45.0,
-        45.0,
-    )  #: first and last elevation φ in degrees, down positive, within ±90
+    #: first and last elevation φ in degrees, down positive, within ±90
+    phi_deg: tuple[float, float] = (-45.0, 45.0)
     num_spheres: int = 192  #: N, at least 2
     min_depth: float = 0.55  #: D_min in metres: the radius of sphere N - 1
     max_depth: float = np.inf  #: radius of sphere 0 in metres; the paper's is infinite
@@ -122,9 +120,7 @@ class SphereGrid:
         )
 
     def rays(self) -> NDArray[np.float64]:
-        """Return ρ(p) for every pixel, shape (H, W, 3), unit vectors in the rig frame (paper,
-        Section III-B).
-        """
+        """Return ρ(p) of every pixel, (H, W, 3), unit vectors (paper, Section III-B)."""
         theta, phi = self.thetas(), self.phis()[:, None]
         x, y, z = np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
         return np.stack(np.broadcast_arrays(x, y, z), -1)
@@ -163,8 +159,7 @@ class SphereGrid:
     def look_up(
         self, panorama: NDArray[Any], points: ArrayLike
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return the pixels of a panorama (H, W, …) nearest to the directions of points (..., 3),
-        and as `project`.
+        """Return the pixels of a panorama (H, W, …) nearest to points (..., 3), and `valid`.
 
         Beyond the first and the last row, where `valid` is False, they are those of that row.
         """
@@ -195,22 +190,16 @@ class SphereGrid:
         return low + np.asarray(index, np.float64) * (high - low) / (self.num_spheres - 1)
 
     def inverse_depth_to_index(self, inverse_depth: ArrayLike) -> NDArray[np.float64]:
-        """Return the fractional index n̂ of an inverse depth in 1/m; outside [0, N - 1] beyond the
-        swept range.
-        """
+        """Return the fractional index n̂ of an inverse depth in 1/m; any, beyond the spheres."""
         low, high = self._inverse_range
         return (np.asarray(inverse_depth, np.float64) - low) * (self.num_spheres - 1) / (high - low)
 
     def index_to_depth(self, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the depth along the ray in metres of a sphere index; infinite at index 0 without a
-        max_depth.
-        """
+        """Return the depth in metres of a sphere index; may be infinite."""
         with np.errstate(divide="ignore", over="ignore"):
             return 1.0 / self.index_to_inverse_depth(index)
 
     def depth_to_index(self, depth: ArrayLike) -> NDArray[np.float64]:
-        """Return the fractional index n̂ of a depth along the ray in metres, which may be
-        infinite.
-        """
+        """Return the fractional index n̂ of a depth in metres, which may be infinite."""
         with np.errstate(divide="ignore"):
             return self.inverse_depth_to_index(1.0 / np.asarray(depth, np.float64))

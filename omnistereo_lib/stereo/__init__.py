@@ -1,3 +1,1 @@
-"""The method, fast: sweep, matching costs, cost volume, SGM, depth, metrics; `reference` defines
-what they give.
-"""
+"""The method, fast: sweep, costs, volume, SGM, depth, metrics; `reference` defines them."""

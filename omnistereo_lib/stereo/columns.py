@@ -5,9 +5,7 @@ from numpy.typing import NDArray
 
 
 def circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the shortest (start, width) around the circle that covers every True of a row of
-    columns.
-    """
+    """Return the shortest (start, width) around the circle that covers every True of a row."""
     columns = np.flatnonzero(visible)
     if len(columns) == 0:
         return 0, 0

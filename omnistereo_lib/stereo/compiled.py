@@ -14,9 +14,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(**options: Any) -> Callable[[_Function], _Function]:
-    """Return `numba.njit` with a cache on disk, or without where neither the package nor the home
-    is writable.
-    """
+    """Return `numba.njit`, with a cache on disk where the package or the home is writable."""
 
     def compile_(function: _Function) -> _Function:
         try:

@@ -1,6 +1,4 @@
-"""Correlation of the features of all cameras in every cell of a coarse sweep volume; see
-`volumenet`.
-"""
+"""Correlation of the cameras' features in every cell of a coarse volume; see `volumenet`."""
 
 import math
 from collections.abc import Sequence
@@ -25,8 +23,7 @@ _COLUMNS = 16
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
-    """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8
-    for the U-net.
+    """Return the sizes (width, height, spheres) of the volumes of a grid, coarse to fine.
 
     The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene,
     and the finer, the more detail. So there are two, whose logits are averaged: that of the
@@ -50,9 +47,7 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
 
 
 def pixels_per_degree(size: tuple[int, int, int]) -> float:
-    """Return the image resolution that suits a volume: features, at half of it, are twice as fine
-    as its cells.
-    """
+    """Return the image resolution that suits a volume: features twice as fine as its cells."""
     return 4 * size[0] / 360
 
 
@@ -77,9 +72,7 @@ def feature_coordinates(
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """Return rays (W', H', 3) and inverse depths (N', 1) in 1/m of the cells of a volume of a
-    size.
-    """
+    """Return rays (W', H', 3) and inverse depths (N', 1), 1/m, of the cells of a volume."""
     width, height, spheres = size
     rays = (
         torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
@@ -106,8 +99,7 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
 
 
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Correlate the features of all cameras to which a cell is visible, in groups of channels; see
-    `reference`.
+    """Correlate the features of the cameras that see a cell, in groups of channels: `reference`.
 
     Args:
         features: one tensor per camera, shape (32, h, w)

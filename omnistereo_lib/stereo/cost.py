@@ -1,6 +1,4 @@
-"""A matching cost: one method, from sweep, frame and camera pairs to the cost volume (paper,
-Section III-B).
-"""
+"""A matching cost: from sweep, frame and camera pairs to the volume (paper, Section III-B)."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -44,9 +42,7 @@ class Cost(Protocol):
 
 
 class BlockCost(ABC):
-    """Base of a cost that compares images warped onto a block of spheres: a subclass has
-    `__call__`, see `COSTS`.
-    """
+    """Base of a cost that compares images warped onto a block of spheres by `__call__`."""
 
     # whether `__call__` runs in one thread, so that each block can have one
     one_thread: ClassVar[bool] = False

@@ -66,9 +66,7 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
 def index_and_confidence(
     volume: ArrayLike | Tensor, subindex: bool = False
 ) -> tuple[Tensor, Tensor]:
-    """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at
-    a time.
-    """
+    """Return what `winner_takes_all` and `confidence` do, in one pass, some rows at a time."""
 
     def read_out(rows: Tensor) -> Tensor:  # (h, W, N) → (2, h, W)
         if rows.device.type == "cpu":
@@ -153,8 +151,7 @@ class Depth:
         return self.grid.index_to_depth(self.index)
 
     def panorama(self) -> NDArray[np.float32]:
-        """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1,
-        9).
+        """Return the reference panorama: the images at the estimated depth (paper, Fig. 1, 9).
 
         Returns:
             float32 array, shape (H, W) or (H, W, 3), in the range of the images: Mean over the
@@ -167,8 +164,7 @@ class Depth:
             return np.where(visible, self.samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
 
     def agreement(self) -> NDArray[np.float32]:
-        """Return the photo-consistency of two cameras at the estimated depth, a check without
-        ground truth.
+        """Return the photo-consistency of two cameras at the estimated depth: without ground truth.
 
         For each ray, the two cameras whose optical axes are nearest to the point are sampled at the
         estimated depth and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter
@@ -195,8 +191,7 @@ class Depth:
     def point_cloud(
         self, max_depth: float = 50.0, min_confidence: float = 0.0
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Return the estimated points, and their colours in the `panorama`, for images with values
-        0 to 255.
+        """Return the estimated points, and their colours in the `panorama`, for images of 0 to 255.
 
         Args:
             max_depth: Largest depth in metres; beyond it, one sphere index is many metres.

@@ -39,9 +39,7 @@ def select_device(device: torch.device | str) -> torch.device:
 
 
 def number_from_environment(name: str, default: int) -> int:
-    """Return a number that `torchrun` sets for each of its processes; the default where it has
-    not.
-    """
+    """Return a number that `torchrun` sets for each of its processes, else the default."""
     value = os.environ.get(name, str(default))
     if not re.fullmatch("[0-9]{1,6}", value):
         raise OmnistereoError(
@@ -51,8 +49,7 @@ def number_from_environment(name: str, default: int) -> int:
 
 
 def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
-    """Refuse a panorama that needs more than three quarters of the available memory; the rest is
-    for lookup tables.
+    """Refuse a panorama that needs more than three quarters of the memory: tables take the rest.
 
     Raises:
         OmnistereoError: With the size needed and the size available.
@@ -76,9 +73,7 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
 
 
 def available_memory(device: torch.device) -> int:
-    """Return the bytes that can be allocated on a device; the host memory unless it is a CUDA
-    GPU.
-    """
+    """Return the bytes that can be allocated: of the host unless the device is a CUDA GPU."""
     if device.type != "cuda":
         return int(psutil.virtual_memory().available)
     cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)

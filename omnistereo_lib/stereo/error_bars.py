@@ -119,8 +119,7 @@ def distribution(volume: Tensor, index: Tensor, temperature: float) -> Floats:
 def distribution_by_torch(
     volume: Tensor, index: Tensor, temperature: float, radius: float
 ) -> Tensor:
-    """How the evidence of each ray is spread over the spheres: five numbers, (5, H, W), in spheres
-    or masses.
+    """How the evidence of each ray is spread over the spheres, (5, H, W), in spheres or masses.
 
     p = 1 − C of probabilities (temperature 0), else p ∝ exp(−C / T): spread √Σ p (n − n*)² around
     the estimate n*, mass of the window around it, spread within it, mass of the heaviest other

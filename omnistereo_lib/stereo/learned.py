@@ -1,5 +1,4 @@
-"""Learned matching costs: `PairNetwork` is a network written plainly, `LearnedCost` runs one
-quickly over all pairs.
+"""Learned costs: `PairNetwork` is a network written plainly, `LearnedCost` runs it fast.
 
 `LearnedCost` extracts the features of each camera once, however many pairs it is in, and matches
 two cameras only in the columns that both see, with a halo for what the convolutions read beyond
@@ -32,8 +31,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 def choose_precision(
     precision: Precision, device: torch.device | str
 ) -> Literal["float32", "bfloat16"]:
-    """Return in which precision a device multiplies (weights, sums, the first and the last layer
-    stay float32).
+    """Return in which precision a device multiplies; sums, first and last layers stay float32.
 
     "auto": bfloat16 where the GPU or the CPU says that it has instructions for it. A trial would
     give other numbers under load. (Two cores with AVX-512 BF16: VolumeNet's frame 0.81 s, in
@@ -62,9 +60,7 @@ def autocast(precision: Precision, device: torch.device) -> torch.autocast:
 
 
 def full_precision(x: Tensor) -> torch.autocast:
-    """Return the context in which nothing runs in bfloat16: for the first and the last layer of a
-    network.
-    """
+    """Return the context in which nothing runs in bfloat16: for a first or a last layer."""
     return torch.autocast(x.device.type, enabled=False)
 
 
@@ -121,9 +117,7 @@ class PairNetwork(StoredNetwork, ABC):
         return torch.sigmoid(score)
 
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
-        """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas,
-        with `padding`.
-        """
+        """Cut feature columns start … stop - 1, around the seam, out of panoramas, with padding."""
         # Columns are counted around the panorama, so a strip may begin before the seam and end
         # behind it.
         rows, columns = self.padding
@@ -141,9 +135,7 @@ class PairNetwork(StoredNetwork, ABC):
         )
 
     def extract_columns(self, images: Tensor, columns: tuple[int, int]) -> Features:
-        """Extract what matching in the columns (start, width) needs from panoramas (M, H, W), NaN
-        where unseen.
-        """
+        """Extract what matching in columns (start, width) needs of panoramas (M, H, W)."""
         # From pixels to columns of features: the first is rounded down and the last one up.
         total = images.shape[-1] // self.stride
         start, stop = columns[0] // self.stride, -(-sum(columns) // self.stride)
@@ -172,9 +164,7 @@ class PairNetwork(StoredNetwork, ABC):
     def shared_strips(
         self, a: tuple[int, int], b: tuple[int, int], W: int
     ) -> Iterator[tuple[int, int]]:
-        """Yield (start, stop) of the feature columns in which two cameras see, given their columns
-        (start, width).
-        """
+        """Yield (start, stop) of the feature columns that two cameras see, given (start, width)."""
         for first, width in common_columns(a, b, W):
             start, stop = first // self.stride, -(-(first + width) // self.stride)
             yield from (
@@ -186,9 +176,7 @@ class PairNetwork(StoredNetwork, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features (B, C, h, columns) of one camera, from column `start` of `total` around the
-    panorama.
-    """
+    """Features (B, C, h, columns) of a camera, from column `start` of `total` around the seam."""
 
     maps: Tensor
     start: int
@@ -204,8 +192,7 @@ class Features:
 
 
 class LearnedCost(BlockCost):
-    """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many
-    times faster.
+    """A network as a matching cost, called like `ZNCC`: its own costs, many times faster.
 
     Args:
         network: Put into channels-last memory; if it is in training mode or on another device than
@@ -245,8 +232,7 @@ class LearnedCost(BlockCost):
         pairs: Sequence[Pair],
         columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see
-        `BlockCost`.
+        """Return the mean cost over camera pairs of a block of spheres, (H, W, B); see `BlockCost`.
 
         Images and network are on one device. Raises an `OmnistereoError` if the network cannot take
         a panorama of this size.

@@ -1,6 +1,4 @@
-"""MC-CNN, the learned cost of 9 × 9 patches that the paper compares with (Žbontar & LeCun, JMLR
-2016).
-"""
+"""MC-CNN, the learned cost of 9 × 9 patches that the paper compares with (JMLR 2016)."""
 
 from itertools import pairwise
 from typing import Any, Literal, Self
@@ -71,9 +69,7 @@ class MCCNN(PairNetwork):
             )
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cost map in [0, 1] of two spherical images, shape (B, H, W) each, 0 where
-        unseen.
-        """
+        """Return the cost map in [0, 1] of two spherical images, (B, H, W) each, 0 unseen."""
         H, W = left.shape[1:]
         self.check_size(H, W)
         left, right = (
@@ -82,9 +78,7 @@ class MCCNN(PairNetwork):
         return self.to_cost(self.score_pixels(self.match_features(left, right)))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Return features, in the fast variant of unit length, of every whole patch: (B, maps, h -
-        8, w - 8).
-        """
+        """Return features of every whole patch, of unit length if fast: (B, maps, h - 8, w - 8)."""
         x = images[:, None]
         # The texture of a patch may be faint beside its brightness.
         with full_precision(x):
@@ -95,17 +89,13 @@ class MCCNN(PairNetwork):
         return normalize(x.float()) if self.variant == "fast" else relu(x)
 
     def match_features(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cosine (fast) or both features (accurate) of every pixel: (B, H, w, 1 or 2
-        maps).
-        """
+        """Return the cosine (fast) or both features of every pixel: (B, H, w, 1 or 2 maps)."""
         if self.variant == "fast":
             return (left * right).sum(1)[..., None]
         return torch.cat([side.permute(0, 2, 3, 1) for side in (left, right)], -1)
 
     def score_pixels(self, pixels: Tensor) -> Tensor:
-        """Return the scores (…) of pixels (…, K): a cosine, match = 1 (fast), or a logit of
-        mismatch (accurate).
-        """
+        """Return the scores (…) of pixels (…, K): a cosine, match = 1, or a logit of mismatch."""
         if self.variant == "fast":
             return pixels[..., 0]
         for layer in self.head[:-1]:

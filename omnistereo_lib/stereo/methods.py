@@ -1,5 +1,4 @@
-"""Methods by name, such as "zncc+sgm" or "sweepnet+sgm,p1=0.2": one vocabulary for code, command
-line and tables.
+"""Methods by name, such as "zncc+sgm" or "sweepnet+sgm,p1=0.2": one vocabulary everywhere.
 
 A name is a matching cost, "+sgm" where the cost volume is smoothed, and the settings that differ
 from their defaults. A new cost joins `COSTS`, and every command knows it.
@@ -97,8 +96,7 @@ COSTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way from images to sphere indices; the defaults are the paper's at its scale, except for
-    the pairs.
+    """A way from images to sphere indices; the defaults are the paper's, except for the pairs.
 
     Raises:
         OmnistereoError: If a value is out of range, or is set although the method does not use it:
@@ -111,22 +109,18 @@ class Method:
     """
 
     cost: str  #: a key of `COSTS`
-    aggregate: Literal["none", "sgm"] = (
-        "none"  #: read depth from the raw cost volume, or after semi-global matching
-    )
-    window: int | None = (
-        None  #: side of the ZNCC window, pixels; None: that of `default_window` for the width
-    )
-    weights: str = (
-        ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
-    )
+    #: read depth from the raw cost volume, or after semi-global matching
+    aggregate: Literal["none", "sgm"] = "none"
+    #: side of the ZNCC window, pixels; None: that of `default_window` for the width
+    window: int | None = None
+    #: name of the weights file of a network, without .safetensors; "": the bundled one
+    weights: str = ""
     pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
     p1: float | None = None  #: SGM penalties; None: those of `penalties` for the size of the volume
     p2: float | None = None
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
-    subindex: bool | None = (
-        None  #: refine the index, see `winner_takes_all`; None: whoever reads it out decides
-    )
+    #: refine the index, see `winner_takes_all`; None: whoever reads it out decides
+    subindex: bool | None = None
 
     def __post_init__(self) -> None:
         for name, choices in (
@@ -207,9 +201,7 @@ class Method:
 
     @property
     def volume_key(self) -> Self:
-        """The method reduced to what its cost volume depends on; methods with equal keys share
-        their volumes.
-        """
+        """The method reduced to what its cost volume depends on: equal keys, one volume."""
         wrap = self.wrap or "wrap" not in COSTS[self.cost].settings
         return replace(
             self, aggregate="none", p1=None, p2=None, subindex=type(self).subindex, wrap=wrap
@@ -239,9 +231,7 @@ class Method:
 
     @property
     def reads_out(self) -> bool:
-        """Whether index and confidence are the cost's own, see `CostEntry.read_out`; else those of
-        the lowest costs.
-        """
+        """Whether index and confidence are the cost's own, see `CostEntry.read_out`."""
         return self.aggregate == "none" and COSTS[self.cost].read_out is not None
 
     @property
@@ -250,9 +240,7 @@ class Method:
         return COSTS[self.cost].weights != ""
 
     def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path:
-        """Return the path of the weights file in a folder; that of a cost without weights means
-        nothing.
-        """
+        """Return the path of the weights file in a folder."""
         return folder / f"{self.weights or COSTS[self.cost].weights}.safetensors"
 
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
@@ -275,9 +263,7 @@ class Method:
         return sweep.keep((COSTS[self.cost], self.volume_key, precision), load)
 
     def smooth(self, volume: Tensor) -> Tensor:
-        """Return the volume (H, W, N) from which depth is read: after SGM where the method has
-        it.
-        """
+        """Return the volume (H, W, N) from which depth is read: after SGM where there is SGM."""
         if self.aggregate == "none":
             return volume
         # Where only one penalty is given, the other one's default gives way, so that p1 ≤ p2.
@@ -287,18 +273,14 @@ class Method:
         return sgm(volume, p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
-        """Return index and confidence (H, W) of a smoothed volume; the setting of the method
-        outranks `subindex`.
-        """
+        """Return index and confidence (H, W); the setting of the method outranks `subindex`."""
         own = COSTS[self.cost].read_out if self.reads_out else None
         refine = subindex if self.subindex is None else self.subindex
         return index_and_confidence(volume, refine) if own is None else own(volume)
 
 
 def _types_of_settings(cls: type) -> dict[str, type]:
-    """Return the types of the settings of a `Method`: of `int | None` that is int, of a choice of
-    words str.
-    """
+    """Return the types of the settings of a `Method`: of `int | None` int, of a choice str."""
     found = {}
     for name, hint in list(get_type_hints(cls).items())[2:]:
         choices = get_args(hint)
@@ -307,8 +289,7 @@ def _types_of_settings(cls: type) -> dict[str, type]:
 
 
 def penalties(width: int, num_spheres: int) -> tuple[float, float]:
-    """Return SGM's penalties for a panorama of W columns and N spheres: the paper's 0.1 and 12 at
-    1200 and 192.
+    """Return SGM's penalties for W columns and N spheres: the paper's 0.1 and 12 at 1200 and 192.
 
     A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the
     same penalties; and among more spheres its slope is more steps a pixel, each of which is paid.

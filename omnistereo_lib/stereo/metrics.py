@@ -9,8 +9,7 @@ _FRACTIONS = tuple(np.linspace(0, 0.95, 20))
 
 
 def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArray[np.float64]:
-    """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range, shape of the
-    inputs (Eq. 5).
+    """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range (Eq. 5).
 
     The ground-truth index is not rounded; only training labels are.
     """

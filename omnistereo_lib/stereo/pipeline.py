@@ -25,8 +25,7 @@ def estimate_depth(
     device: torch.device | str = "cpu",
     progress: Progress = silent,
 ) -> Depth:
-    """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use
-    `sweep_depth`.
+    """Estimate the depth panorama of one frame; for many, make a sweep and use `sweep_depth`.
 
     Args:
         frame: A rig and its images: of a data set, or `Frame.of(rig, images)`.
@@ -65,8 +64,7 @@ def sweep_depth(
     progress: Progress = silent,
     precision: Precision = "auto",
 ) -> Depth:
-    """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from
-    frame to frame.
+    """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks.
 
     Args:
         images: A frame, or one array per camera, (height, width) or (height, width, 3).

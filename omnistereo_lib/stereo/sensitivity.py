@@ -13,8 +13,7 @@ Floats = NDArray[np.float64]
 def inverse_depth_shifts(
     rays: Floats, inverse_depth: Floats, centers: Floats, seen: NDArray[np.bool_]
 ) -> Floats:
-    """Return by how much the inverse depth moves if one camera's view is rotated, 1/m per radian,
-    (cameras, ...).
+    """Return how the inverse depth moves if a camera rotates, 1/m per radian, (cameras, ...).
 
     A point that moves along the ray moves in camera i by v_i radians per 1/m, a vector. If camera i
     is rotated by ε, the inverse depth that fits all pairs by least squares moves by ε |Σ_j (v_i -
@@ -49,8 +48,7 @@ def inverse_depth_shifts(
 def calibration_deviation(
     rig: Rig, rays: Floats, inverse_depth: Floats, seen: NDArray[Any]
 ) -> Floats:
-    """Return the standard deviation of the inverse depth that comes from the calibration, 1/m,
-    (...).
+    """Return the standard deviation of the inverse depth due to the calibration, 1/m, (...).
 
     Arguments as of `inverse_depth_shifts`, of a rig that states its `deviations`.
     """

@@ -1,5 +1,4 @@
-"""Semi-global matching of a cost volume, across the ±180° seam of the panorama (H. Hirschmüller,
-TPAMI 2008).
+"""Semi-global matching of a cost volume, across the ±180° seam (H. Hirschmüller, TPAMI 2008).
 
 A cost volume states how badly each sphere n fits each ray p, independently of the other rays.
 Neighbouring rays mostly see the same surface, so SGM follows straight paths r over the panorama,
@@ -41,8 +40,7 @@ def sgm(
     paths: int = 8,
     wrap: bool = True,
 ) -> Tensor:
-    """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B; see the
-    module).
+    """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B).
 
     Args:
         volume (shape (H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in

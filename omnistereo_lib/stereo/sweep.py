@@ -1,6 +1,4 @@
-"""Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq.
-1).
-"""
+"""Sphere sweep: warp the images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
 import math
 from collections.abc import Callable, Hashable, Sequence
@@ -103,9 +101,7 @@ class SphereSweep:
         return self.__dict__ | {"_luts": {}, "_spans": {}, "_kept": {}}
 
     def keep(self, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
-        """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside
-        the tables.
-        """
+        """Return make(), called once for this sweep: what a cost keeps from frame to frame."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
@@ -155,8 +151,7 @@ class SphereSweep:
         return self.rig.cameras[camera].project(self._directions(camera, index))
 
     def off_axis_angles(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the angles in [0, π] between the optical axis of a camera and the points of one
-        sphere.
+        """Return the angles in [0, π] between a camera's optical axis and the points of one sphere.
 
         Parameters as in `project_sphere`; shape (H, W), NaN where the index is unknown.
         """
@@ -164,9 +159,7 @@ class SphereSweep:
         return np.arctan2(np.hypot(x, y), z)
 
     def _directions(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the points ρ/d of one sphere in the camera frame, times d to stay finite at
-        infinity.
-        """
+        """Return the points ρ/d of one sphere in the camera frame, times d; see `Rig.towards`."""
         return self.rig.towards(camera, self._rays, self.grid.index_to_inverse_depth(index))
 
     def warp(
@@ -202,8 +195,7 @@ class SphereSweep:
         ]
 
     def normalize_images(self, images: Frame | Sequence[ArrayLike]) -> list[Tensor]:
-        """Return the images in gray, without detail finer than the panorama, normalised over the
-        image circle.
+        """Return the images in gray, no finer than the panorama, normalised over the image circle.
 
         A panorama coarser than the images takes a sample from several pixels of them, so they are
         blurred first, or it would alias; see `blur_px`. Then each gets zero mean and unit variance.
@@ -268,9 +260,7 @@ class SphereSweep:
         return out.permute(0, 3, 1, 2)
 
     def warp_camera(self, image: Tensor, camera: int, spheres: range, out: Tensor) -> None:
-        """Warp one normalized image onto one of the `blocks`: overwrite out (H, W,
-        len(spheres)).
-        """
+        """Warp one normalized image onto one of the `blocks`: overwrite out (H, W, B)."""
         H, W, B = out.shape
         rows = out.view(H, W * B)
         on_cpu = self.device.type == "cpu"
@@ -288,9 +278,7 @@ class SphereSweep:
             (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
 
     def visible_columns(self, camera: int, spheres: range) -> tuple[int, int]:
-        """Return (start, width) of the columns, around the seam, that are visible to a camera on a
-        block.
-        """
+        """Return (start, width) of the columns, around the seam, that a camera sees on a block."""
         if (camera, spheres.start) not in self._spans:
             self._lookup_table(camera, spheres)
         return self._spans[camera, spheres.start]

@@ -1,6 +1,4 @@
-"""SweepNet, the matching cost that sees whole spherical images (paper, Section III-C and Table
-I).
-"""
+"""SweepNet, the matching cost of whole spherical images (paper, Section III-C and Table I)."""
 
 from __future__ import annotations
 
@@ -83,8 +81,7 @@ class SweepNet(PairNetwork):
             )
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cost map of two spherical images: conv1 … conv18 of each, then conv19 … fc5
-        and a sigmoid.
+        """Return the cost map of two images: conv1 … conv18 of each, conv19 … fc5, a sigmoid.
 
         Args:
             left, right (tensors, shape (B, H, W)): Gray spherical images of zero mean and unit
@@ -103,9 +100,7 @@ class SweepNet(PairNetwork):
         return torch.sigmoid(self.score_pixels(pixels[:, :, 2 * halo : 2 * halo + W]))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Run conv1 … conv18, residual blocks, on padded images (B, H, w + 4): (B, 32, H/2,
-        w/2).
-        """
+        """Run conv1 … conv18 on padded images (B, H, w + 4): (B, 32, H/2, w/2)."""
         # The texture of an image may be faint beside its brightness.
         with full_precision(images):
             x = self._run("conv1", images[:, None])
@@ -115,9 +110,7 @@ class SweepNet(PairNetwork):
         return self._run("conv18", x)
 
     def match_features(self, left: Tensor, right: Tensor) -> Tensor:
-        """Concatenate two cameras' features, run conv19, deconv1 and conv20: 128 numbers a pixel,
-        (B, H, w, 128).
-        """
+        """Run conv19, deconv1 and conv20 on the features of two cameras: (B, H, w, 128)."""
         x = torch.cat([left, right], 1)
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
@@ -132,9 +125,7 @@ class SweepNet(PairNetwork):
             return self.layers["fc5"](x.to(self.layers["fc5"].weight.dtype)).view(pixels.shape[:-1])
 
     def _run(self, name: str, x: Tensor, add: Tensor | None = None) -> Tensor:
-        """Run a layer, its batch norm where there is one, add the input of the block, and cut off
-        below 0 (ReLU).
-        """
+        """Run a layer, its batch norm if there is one, add the block's input, and ReLU."""
         x = self.layers[name](x)
         if name in self.norms:
             x = self.norms[name](x)
@@ -142,9 +133,7 @@ class SweepNet(PairNetwork):
 
     @torch.no_grad()
     def fuse_batch_norm(self) -> SweepNet:
-        """Return a network without batch norms that computes what this one does in evaluation
-        mode.
-        """
+        """Return a network without batch norms that computes what this one does in evaluation."""
         plain = SweepNet(wrap=self.wrap)
         for name, layer in self.layers.items():
             weight, bias = layer.weight, layer.bias

@@ -23,9 +23,7 @@ _pool = cache(ThreadPoolExecutor)
 
 
 def _after_fork() -> None:
-    """Do without the threads of the parent, which a forked process has not: torch would wait for
-    them for ever.
-    """
+    """Do without the parent's threads, which a forked process lacks: torch would wait for ever."""
     _pool.cache_clear()
     torch.set_num_threads(1)
 

@@ -1,6 +1,4 @@
-"""The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq.
-2).
-"""
+"""The cost volume C(p, n): costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
 
 from collections.abc import Callable, Sequence
 
@@ -87,9 +85,7 @@ def _check_network(cost: object) -> None:
 
 
 def as_volume(volume: ArrayLike | Tensor) -> Tensor:
-    """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from an array of any
-    memory layout.
-    """
+    """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from any array."""
     if not isinstance(volume, Tensor):
         volume = np.asarray(volume)
         if volume.dtype.kind not in "fiub":

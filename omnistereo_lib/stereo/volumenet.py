@@ -136,17 +136,13 @@ def double(x: Tensor) -> Tensor:
 
 
 class Up(nn.ModuleList):
-    """A step up in the U-net: project to the channels of the finer level, double the size, add that
-    level, filter.
-    """
+    """A step up in the U-net: project, double the size, add the finer level, filter."""
 
     def __init__(self, finer: int, coarser: int) -> None:
         super().__init__([nn.Conv3d(coarser, finer, 1), Conv3d(finer, finer)])
 
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
-        """Return the finer level (B, C, W, H, N), given the coarser one and what the way down left
-        of the finer.
-        """
+        """Return the finer level (B, C, W, H, N), given the coarser and that of the way down."""
         project, merge = self
         return merge(double(project(x)) + level)
 
@@ -185,9 +181,7 @@ class VolumeNet(StoredNetwork):
     def correlation(
         self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]
     ) -> Tensor:
-        """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and
-        `correlate`.
-        """
+        """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet`."""
         features = [self.features(image, mask) for image, mask in zip(images, visible, strict=True)]
         return self.compare(features, coordinates)
 
@@ -196,9 +190,7 @@ class VolumeNet(StoredNetwork):
         return correlate(features, coordinates)
 
     def forward(self, volume: Tensor) -> Tensor:
-        """Run the U-net on correlation volumes (B, 9, W, H, N), sizes in multiples of 8: logits (B,
-        W, H, N).
-        """
+        """Run the U-net on (B, 9, W, H, N), sizes in multiples of 8: logits (B, W, H, N)."""
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
         # leaves odd strides.
         levels = [self.stem(volume.clone(memory_format=torch.channels_last_3d))]
@@ -218,8 +210,7 @@ class VolumeNet(StoredNetwork):
         pairs: Sequence[Pair] = (),
         progress: Progress = silent,
     ) -> Tensor:
-        """Return 1 - probability of every sphere, shape (H, W, N); NaN for rays that no two cameras
-        share.
+        """Return 1 - probability of every sphere, (H, W, N); NaN where no two cameras see the ray.
 
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
@@ -255,8 +246,7 @@ class VolumeNet(StoredNetwork):
         size: tuple[int, int, int],
         step: Callable[[str], object] = lambda what: None,
     ) -> Tensor:
-        """Return the correlation volume of a frame at a size; masks and coordinates are kept for
-        the next frame.
+        """Return the correlation volume of a frame at a size; keep masks and coordinates.
 
         `step` is called with the name of each part before it begins: the tables, each camera, the
         correlation.
@@ -289,8 +279,7 @@ def normalize(image: Tensor, visible: Tensor) -> Tensor:
 
 
 def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
-    """Return columns of the full-size logits: (B, w, h, n) → (B, columns, H, N), interpolated,
-    circular in θ.
+    """Return columns of the full-size logits, around the seam: (B, w, h, n) → (B, columns, H, N).
 
     Linear across rays, cubic along them: linear, the most probable sphere of a ray would be in the
     middle of a cell.
@@ -314,8 +303,7 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
 
 
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
-    """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors
-    (H, W).
+    """Return sphere index and confidence (H, W), float32, of costs 1 - probability (H, W, N).
 
     The index is the mean sphere around the most probable one, within a cell of the coarse volume,
     at least one sphere, on either side; see `reference.local_mean`. The confidence is the

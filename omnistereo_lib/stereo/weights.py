@@ -1,6 +1,4 @@
-"""Files of tensors: the weights of a network, or the state of a training run. Safetensors, never
-pickle.
-"""
+"""Files of tensors: a network's weights, or the state of a training. Safetensors, no pickle."""
 
 import hashlib
 import json
@@ -43,18 +41,14 @@ class StoredNetwork(nn.Module):
         return cls.from_file(BUNDLED_WEIGHTS / f"{cls.bundled}.safetensors")
 
     def ready(self, device: torch.device | str) -> Self:
-        """Return the network in evaluation mode on a device: itself, or a copy, so that a training
-        is not disturbed.
-        """
+        """Return the network in evaluation mode on a device: itself, or a copy if it trains."""
         device = torch.device(device)
         training = any(module.training for module in self.modules())
         elsewhere = any(weight.device != device for weight in self.parameters())
         return deepcopy(self).eval().to(device) if training or elsewhere else self
 
     def fuse_batch_norm(self) -> nn.Module:
-        """Return the network to store: itself. One whose batch norms fold into its layers overrides
-        this.
-        """
+        """Return the network to store: itself, unless its batch norms fold into its layers."""
         return self
 
     def save(self, path: str | Path, **metadata: Any) -> None:
@@ -113,8 +107,7 @@ def signature(name: str, config: Mapping[str, Any]) -> str:
 def save_tensors(
     path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]
 ) -> None:
-    """Write tensors by name and metadata (as JSON) into one file, atomically; equal content gives
-    equal bytes.
+    """Write tensors and metadata (as JSON) into one file; equal content gives equal bytes.
 
     The file header holds the metadata under "about", beside a checksum of the tensors.
 
@@ -134,8 +127,7 @@ def save_tensors(
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Return the tensors of a file, on the CPU, and the metadata that `save_tensors` wrote with
-    them.
+    """Return the tensors of a file, on the CPU, and the metadata written with them.
 
     Raises:
         OmnistereoError: If the file is missing, truncated, changed since it was written, not
@@ -165,9 +157,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def _read_header(path: str | Path, content: bytes) -> dict[str, Any]:
-    """Return the metadata of a safetensors file, all of whose tensors are of a type that networks
-    have.
-    """
+    """Return the metadata of a safetensors file whose tensors all have types of networks."""
     (length,) = struct.unpack("<Q", content[:8])
     if length > _MAX_HEADER:
         raise ValueError(f"its header has {length} bytes")

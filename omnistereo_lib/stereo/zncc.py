@@ -17,8 +17,7 @@ from omnistereo_lib.stereo.kernels import zncc_numba
 
 @dataclass(frozen=True)
 class ZNCC(BlockCost):
-    """Zero-mean normalised cross-correlation of square patches as a cost (1 - ZNCC)/2 in [0, 1]
-    (paper, Section IV).
+    """Zero-mean normalised cross-correlation as a cost (1 - ZNCC)/2 in [0, 1] (paper, Section IV).
 
     A patch holds the pixels of the window that are visible to both cameras; it continues across the
     ±180° seam. A patch without texture costs 0.5: neither match nor mismatch.
@@ -32,9 +31,8 @@ class ZNCC(BlockCost):
     True
     """
 
-    window: int | None = (
-        None  #: side of the window in pixels, odd, at least 3; None: that of `default_window`
-    )
+    #: side of the window in pixels, odd, at least 3; None: that of `default_window`
+    window: int | None = None
     one_thread: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -52,8 +50,7 @@ class ZNCC(BlockCost):
         pairs: Sequence[Pair],
         columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see
-        `BlockCost`.
+        """Return the mean cost over camera pairs of a block of spheres, (H, W, B); see `BlockCost`.
 
         Raises an `OmnistereoError` if the window is larger than the panorama.
         """
@@ -73,8 +70,7 @@ class ZNCC(BlockCost):
 
 
 def default_window(width: int) -> int:
-    """Return the side of ZNCC's window for a panorama of W columns: the paper's 9 at 1200, 7 at
-    640, 5 at 320.
+    """Return the side of ZNCC's window for W columns: the paper's 9 at 1200, 7 at 640, 5 at 320.
 
     It is the odd number nearest to 9 √(W / 1200), at least 5 and never larger than the paper's. A
     window of 9 would be 10° wide at 320 columns, and hold more than one depth. Chosen on held-out

@@ -1,3 +1,1 @@
-"""Fast code for one device each: what `reference` defines, with the same numbers. Only `stereo`
-comes here.
-"""
+"""Fast code for one device each, with the numbers of `reference`. Only `stereo` comes here."""

@@ -1,6 +1,4 @@
-"""Correlation on a CPU, cell by cell: cameras that do not see a cell cost nothing, and no warped
-map is ever stored.
-"""
+"""Correlation on a CPU, cell by cell: unseen cells cost nothing, no warped map is stored."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,9 +17,7 @@ _CELLS = 1 << 14
 
 
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Return `reference.correlate` of float32 features (32, h, w), in eight groups, with its
-    gradient.
-    """
+    """Return `reference.correlate` of features (32, h, w), in eight groups, with its gradient."""
     # Channels last: the 32 features of a pixel are read together.
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
     volume = _CellCorrelation.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
@@ -33,9 +29,7 @@ class _CellCorrelation(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
-        """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places
-        (cameras, cells, 2).
-        """
+        """Return the cells (cells, 9), given features (h, w, 32) and places (cameras, cells, 2)."""
         # All feature maps in one table, one pixel a row; Σ f_i is kept only if a gradient will be
         # asked for.
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
@@ -57,9 +51,7 @@ class _CellCorrelation(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the
-        warp.
-        """
+        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back."""
         uv, totals, volume, *maps = ctx.saved_tensors
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
         # The last number of a cell is k / 4, and the others were divided by k (k - 1).
@@ -80,9 +72,7 @@ _loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc
 
 @_loop
 def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any, Any]:
-    """Return column and row of the pixel up and left of a position, and how far the position is
-    beyond it.
-    """
+    """Return column and row of the pixel up and left of a position, and how far it is beyond."""
     # Beyond the last pixel centres the nearest value is read: the shares are kept within 0 and 1.
     column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
     fx, fy = np.float32(x - column), np.float32(y - row)
@@ -96,9 +86,7 @@ def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any,
 
 @_loop
 def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) -> None:
-    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds
-    all features.
-    """
+    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for."""
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
     for cell in range(uv.shape[1]):
         # Σ f and Σ f² over the cameras that see the cell; NaN says that one does not.
@@ -137,9 +125,7 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
 
 @_loop
 def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> None:
-    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from
-    which f_i was read.
-    """
+    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to f_i's pixels."""
     height, width, _ = maps.shape
     table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)
     g = np.zeros(CHANNELS, np.float32)

@@ -1,6 +1,4 @@
-"""How the evidence of each ray is distributed over the spheres, on a CPU, in one pass: see
-`reference.distribution`.
-"""
+"""How the evidence of each ray is spread over the spheres; see `error_bars.distribution`."""
 
 from typing import Any
 

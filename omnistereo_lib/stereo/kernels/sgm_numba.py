@@ -1,5 +1,4 @@
-"""The paths of SGM on a CPU, in compiled loops: all threads at once, and no L_r of a whole volume
-is ever stored.
+"""The paths of SGM on a CPU: all threads at once, and no L_r of a whole volume is ever stored.
 
 Rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the
 bottom ↑ ↗ ↖. A message belongs to a scanline, not to a pixel: each vertical or diagonal line has
@@ -40,9 +39,7 @@ _Tile = tuple[bool, int, int, int, int, int]
 def sum_paths(
     cost: NDArray[Any], p1: float, p2: float, paths: int, wrap: bool
 ) -> tuple[Tensor, bool]:
-    """Return Σ_r L_r of costs (H, W, N) float32, NaN where they are, and whether a cost is too
-    large, as in `sgm`.
-    """
+    """Return Σ_r L_r of costs (H, W, N), and whether a cost is too large, as in `sgm`."""
     H, W, N = cost.shape
     # (H, W, N); NumPy asks the system for huge pages, torch does not.
     total = np.empty_like(cost)
@@ -95,9 +92,7 @@ def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
 
 @njit
 def _fill_value(cost: NDArray[Any]) -> np.float32:
-    """Return the data term of the unknown cells of a ray: the mean of its known costs, infinite if
-    one is too large.
-    """
+    """Return the cost of unknown cells of a ray: the mean of the others, infinite if too large."""
     regular = True
     for n in range(cost.size):
         # The comparison is false for NaN.
@@ -119,9 +114,7 @@ def _fill_value(cost: NDArray[Any]) -> np.float32:
 def _add_cost(
     cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDArray[Any]
 ) -> np.float32:
-    """Extend a path by one pixel, L = C + M; return the lowest L. path is (N + 2,), its ends stay
-    infinite.
-    """
+    """Extend a path by one pixel, L = C + M; return min L. path is (N + 2,), its ends infinite."""
     lowest = INFINITY
     for n in range(cost.size):
         # L_r(p, n) = C(p, n) + M(n), where M comes from the pixel before on the path (Hirschmüller
@@ -186,9 +179,7 @@ def _scan_row(
 def _scan_rows(
     cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float
 ) -> bool:
-    """Write the sum of the two paths along rows to total, and fill; return whether a cost is too
-    large.
-    """
+    """Write the sum of the two paths along rows, and fill; return whether a cost is too large."""
     H, W, N = cost.shape
     too_large = False
     leftward = np.empty((W, N), np.float32)
@@ -218,9 +209,7 @@ def _advance(
     p1: float,
     p2: float,
 ) -> None:
-    """Add the three paths of a pass to total, in the columns [first + slope j, last − slope j) of
-    row j of a band.
-    """
+    """Add the paths of a pass in columns [first + slope j, last − slope j) of row j of a band."""
     up, top, bottom, first, last, slope = tile
     H, W, N = cost.shape
     paths = np.zeros((3, N + 2), np.float32)

@@ -1,5 +1,4 @@
-"""The paths of SGM on a GPU, in Triton: one program per scanline, which keeps its message in
-registers as it walks.
+"""The paths of SGM on a GPU, in Triton: one program per scanline, its message in registers.
 
 A scanline is one path over the panorama: a row, or a line that starts in the first (or last) row
 and moves by 0 or ±1 column per row. Scanlines of one direction never share a pixel, so a launch per
@@ -29,8 +28,7 @@ def _step(cost, message, sphere, p1, p2, BLOCK: tl.constexpr):
 
 @triton.jit
 def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: tl.constexpr):
-    """Add the L of one row to the total: laps around the panorama until the message repeats, then
-    the lap that counts.
+    """Add the L of one row: laps around the panorama until the message repeats, then one counts.
 
     cost, total: pointers to (H, W, N); program k scans row k.
     """
@@ -72,9 +70,7 @@ def _scan_lines(
     wrap: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
-    """Add the L of one line from the first row down (or the last row up), `slope` columns to the
-    right per row.
-    """
+    """Add the L of one line from the first row down (or up), `slope` columns right per row."""
     sphere = tl.arange(0, BLOCK)
     inside = sphere < N
     message = tl.zeros([BLOCK], tl.float32)
@@ -93,9 +89,7 @@ def _scan_lines(
 
 
 def sum_paths(cost: Tensor, p1: float, p2: float, paths: int, wrap: bool, max_laps: int) -> Tensor:
-    """Return Σ_r L_r of a volume (H, W, N) on a GPU whose costs are all known and finite; arguments
-    as in `sgm`.
-    """
+    """Return Σ_r L_r of known, finite costs (H, W, N) on a GPU; arguments as in `sgm`."""
     total = torch.zeros_like(cost)
     H, W, N = cost.shape
     BLOCK = triton.next_power_of_2(N)

@@ -1,6 +1,4 @@
-"""The best sphere of every ray and its confidence on a CPU, in one pass: the costs of a ray stay in
-the cache.
-"""
+"""The best sphere and confidence of every ray, on a CPU, while its costs are in the cache."""
 
 from typing import Any
 
@@ -13,9 +11,7 @@ from omnistereo_lib.stereo.compiled import compiled, minimum
 
 
 def winner_and_confidence(volume: Tensor, subindex: bool) -> Tensor:
-    """Return `reference.winner` and `reference.confidence` of float32 costs (H, W, N): (2, H,
-    W).
-    """
+    """Return `reference.winner` and `confidence` of float32 costs (H, W, N): (2, H, W)."""
     out = np.empty((2, *volume.shape[:2]), np.float32)
     _read_rays(volume.contiguous().numpy(), subindex, out)
     return torch.from_numpy(out)

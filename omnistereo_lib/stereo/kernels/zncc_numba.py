@@ -1,6 +1,4 @@
-"""ZNCC on a CPU: the sums over a window slide along, so that its size costs nothing, for 16 spheres
-side by side.
-"""
+"""ZNCC on a CPU: sums over a window slide, so its size costs nothing, 16 spheres at once."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,9 +27,7 @@ def mean_costs(
     window: int,
     columns: Sequence[tuple[int, int]] | None,
 ) -> Tensor:
-    """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); arguments as in
-    `ZNCC`.
-    """
+    """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); see `ZNCC`."""
     H, W = spherical_images.shape[-2:]
     # Only the columns that both cameras of a pair see, in pieces.
     columns = columns if columns is not None else [(0, W)] * len(spherical_images)
@@ -91,8 +87,7 @@ def _add_costs(
     total: NDArray[Any],
     count: NDArray[Any],
 ) -> None:
-    """Add the costs of the columns [start, start + width) of one pair to total and count (H, W ·
-    lanes).
+    """Add the costs of columns [start, start + width) of a pair to total and count (H, W · lanes).
 
     The sums over the rows of the window slide down the image, the sums over its columns then slide
     along the row. They are float64: in float32 the variance of a bright, flat patch would be
@@ -129,8 +124,7 @@ def _add_costs(
 
 @numba.njit
 def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray[Any]) -> None:
-    """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a,
-    b.
+    """Copy two rows of pixels, from `first` around the seam, to (3, padded): weight, a, b.
 
     The weight is 1 where both are visible; elsewhere all three are 0.
     """
@@ -152,9 +146,7 @@ def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray
 
 @numba.njit
 def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
-    """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0
-    or 1, 0, 0.
-    """
+    """Add a row of pixels, (weight, a, b), to the sums and remove another."""
     # Each sum is that of a product of two of (weight, a, b): 1 = w · w, a = w · a, …, ab = a · b.
     for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
         total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
@@ -181,9 +173,7 @@ def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
 
 @numba.njit(error_model="numpy")
 def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
-    """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat
-    (paper, Section IV).
-    """
+    """Compute weight and weighted cost (1 - ZNCC)/2; 0.5 where flat (paper, Section IV)."""
     half, one = np.float32(0.5), np.float32(1)
     for t in range(box.shape[1]):
         n = box[0, t]
