@@ -110,6 +110,7 @@ def _is_lit(depth: Depth) -> NDArray[np.bool_]:
     shape (H, W).
     """
     samples = depth.samples.reshape(*depth.samples.shape[:3], -1)  # (cameras, H, W, channels)
+    channels = np.ascontiguousarray(np.moveaxis(samples, -1, 0))  # NumPy is slow across the last
     # False where NaN
-    lit = ((samples.max(-1) >= DARKEST) & (samples.min(-1) <= BRIGHTEST)).sum(0) >= 2
+    lit = ((channels.max(0) >= DARKEST) & (channels.min(0) <= BRIGHTEST)).sum(0) >= 2
     return cv2.medianBlur(lit.astype(np.uint8), _AROUND) > 0

@@ -3,6 +3,7 @@ and exports.
 """
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -174,15 +175,17 @@ class FrameResult:
         """Write everything into a folder; return the names of what was written, the first to look
         at first.
         """
-        steps = {
-            "data": self._write_data,
-            "overview.png": self._write_overview,
-            "index.html": self._write_page,
-        }
-        step = counted(progress, len(steps))
-        for name, write in steps.items():
-            step(name)
-            write(make_folder(out) / name)
+        step = counted(progress, 3)
+        folder = make_folder(out)
+        _ = self._cloud, self.panorama, self.trust  # the page is written beside the rest
+        with ThreadPoolExecutor(1) as pool:
+            page = pool.submit(self._write_page, folder / "index.html")
+            step("data")
+            self._write_data(folder / "data")
+            step("overview.png")
+            self._write_overview(folder / "overview.png")
+            step("index.html")
+            page.result()
         step("")
         return [
             "overview.png",
