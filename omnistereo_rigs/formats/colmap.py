@@ -14,7 +14,13 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.parse import Section, check_count, numbered_lines, warn_if_different
+from omnistereo_lib.parse import (
+    Section,
+    check_count,
+    numbered_lines,
+    parse_floats,
+    warn_if_different,
+)
 from omnistereo_rigs.formats.camera_models import FISHEYE, FISHEYE624, PINHOLE, RADTAN
 from omnistereo_rigs.formats.table import Parameters, Way, parse_pose
 
@@ -158,19 +164,13 @@ def _read_rigs(file: Path, listed: Mapping[str, Camera]) -> dict[str, Camera]:
 def _read_cameras(file: Path) -> dict[str, Camera]:
     found = {}
     for number, words in numbered_lines(file):
-        if len(words) < 5:
-            raise OmnistereoError(
-                f"{file}: line {number}: found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT "
-                "PARAMS[]"
-            )
         with error_context(f"{file}: line {number}"):
-            lens = Section({"width": words[2], "height": words[3], "camera_params": words[4:]})
-            found[words[0]] = {
-                "camera_model_name": words[1],
-                "camera_params": lens.floats("camera_params").tolist(),
-                "width": lens.number("width"),
-                "height": lens.number("height"),
-            }
+            if len(words) < 5:
+                raise OmnistereoError(
+                    f"found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
+                )
+            lens = {"camera_model_name": words[1], "width": words[2], "height": words[3]}
+            found[words[0]] = lens | {"camera_params": parse_floats(words[4:], "PARAMS").tolist()}
     return found
 
 

@@ -32,15 +32,10 @@ from omnistereo_lib.rig_file import (
 from omnistereo_rigs.formats import plausible
 from omnistereo_rigs.formats.dialects import DIALECTS
 from omnistereo_rigs.formats.fit import Lens, fit_lens
-from omnistereo_rigs.formats.table import METRES, UNSTATED, Dialect, Found, interpret
+from omnistereo_rigs.formats.table import METRES, Dialect, Found, interpret
 
 _log = logging.getLogger("omnistereo_lib")
 
-_OWN = (
-    ("OmniMVS config.yaml", "with the masks beside it, and what `save_rig` writes", "metres"),
-    ("OCamCalib text", "a folder with `ocam1.txt`, … and `poses.txt`", UNSTATED),
-)
-_FOLDER = ("a folder", "`cam1.xml`, `cam1.yaml`, … of any format above, and `poses.txt`", UNSTATED)
 _ROWS = {row.name: row for row in DIALECTS}
 _RIG_FILES = (
     "config.yaml",
@@ -182,16 +177,9 @@ def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[Oca
         return [camera for camera, _ in _fitted(found, max_fov_deg)]
 
 
-def formats_table() -> str:
-    """Return the formats as the table in book/own_cameras.md, whose test says how it is made."""
-    rows = [("format", "what is read", "unit"), ("---",) * 3, *_OWN]
-    rows += [*((row.name, row.what, row.unit) for row in DIALECTS), _FOLDER]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
-
-
 def _supported() -> str:
     names = "; ".join(row.name for row in DIALECTS)
-    return f"supported formats: {_OWN[0][0]}; {names}; folders with poses.txt. See own_cameras.md"
+    return f"supported formats: OmniMVS config.yaml; {names}; folders with poses.txt"
 
 
 def _own(path: Path, unit: str | None, max_fov_deg: float | None) -> RigFile | None:
