@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
@@ -63,6 +63,10 @@ class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameO
         "depth as 2:1 TIFF for Blender, Nuke and GIS, pictures for viewers",
         suffixes=(".tiff", ".tif"),
     )
+    crops: Path | None = option(
+        "perspective crops with depth and transforms.json", metavar="FOLDER"
+    )
+    up: Literal["z"] | None = option("of points and .ply: x forward, y left", unset="y is down")
 
     def __post_init__(self) -> None:
         from omnistereo_lib.geometry.sphere import SphereGrid
@@ -101,15 +105,17 @@ def run(options: DepthOptions) -> int:
     hold(out)
     for file in filter(None, (options.mesh, options.equirectangular)):
         make_folder(file.parent)
+    if options.crops is not None:
+        make_folder(options.crops)
     method = options.method or FRAME_METHOD
     # Compute and write.
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth)
-    result = FrameResult(depth, limits, method, gt_index, doubt)
+    result = FrameResult(depth, limits, method, gt_index, options.up, doubt)
     if replaced := result.replaces(out):
         say(replaced)
     written = result.write(out, progress_bar())
-    written += result.export(options.mesh, options.equirectangular)
+    written += result.export(options.mesh, options.equirectangular, options.crops)
     print(*result.sentences(), coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
     print(out / "index.html" if result.fits else rig_doctor(options))
@@ -159,4 +165,8 @@ def _check(options: DepthOptions, out: Path) -> None:
     files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
     if options.equirectangular is not None:
         files += beside(options.equirectangular)
-    check_outputs(options, files, [out / "data"])
+    folders = [out / "data"]
+    if (crops := options.crops) is not None:
+        files += [crops / "transforms.json", crops / "points.ply"]
+        folders += [crops / "images", crops / "depth", crops / "masks"]
+    check_outputs(options, files, folders)

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -35,10 +35,16 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
+from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, sharp_panorama, write_panorama
-from omnistereo_tools.output.points import Limits, PointCloud
+from omnistereo_tools.output.pictures import (
+    ColorScale,
+    in_millimetres,
+    sharp_panorama,
+    write_panorama,
+)
+from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
 from omnistereo_tools.output.summary import (
     depth_sentences,
     doubt_shares,
@@ -64,7 +70,7 @@ confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above
 inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look at, not to measure
 depth_mm.png         16 bits: depth along the ray in whole millimetres; 0 = unknown, or beyond 65 m
 panorama.jpg         the cameras' colours at the depth of each ray, blended, one pixel per ray; black = unknown
-points.ply           {points} points, binary PLY: metres (x right, y down, z forward), normals towards the rig,
+points.ply           {points} points, binary PLY: metres ({axes}), normals towards the rig,
                      colours, confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m
 sigma.tiff           float32, 1/m: 68 % of the rays are off by at most this much in inverse depth; NaN as above
 bound.tiff           float32, 1/m: 95 % are. From the method's evidence, and from how far the rig file says that its
@@ -92,6 +98,7 @@ class FrameResult:
     limits: Limits
     method: str
     gt_index: NDArray[Any] | None = None
+    up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
     doubt: str | None = None  #: why the rig and the images cannot fit
 
     @property
@@ -193,14 +200,19 @@ class FrameResult:
             "data/ (README.txt says what each file holds)",
         ]
 
-    def export(self, mesh_file: Path | None, equirectangular: Path | None) -> list[str]:
+    def export(
+        self,
+        mesh_file: Path | None = None,
+        equirectangular: Path | None = None,
+        crops: Path | None = None,
+    ) -> list[str]:
         """Write the files for other programs that are asked for, into folders that exist; return
-        what each holds. See `write_mesh` and `equirectangular_depth`.
+        what each holds. See `write_mesh`, `equirectangular_depth` and `write_crops`.
         """
         written = []
         if mesh_file is not None:
             triangles, doubtful = write_mesh(
-                mesh_file, self.depth, self.panorama, self.limits, self.doubtful
+                mesh_file, self.depth, self.panorama, self.limits, self.doubtful, self.up
             )
             written.append(
                 f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)"
@@ -208,6 +220,9 @@ class FrameResult:
         if equirectangular is not None:
             photo, colors = self._write_equirectangular(equirectangular)
             written.append(f"{equirectangular} (metres along the ray), {photo}, {colors}")
+        if crops is not None:
+            count = write_crops(crops, self.depth, self.limits, self._cloud)
+            written.append(f"{crops}/ ({count} crops of all that the cameras see; transforms.json)")
         return written
 
     def _write_equirectangular(self, path: Path) -> tuple[Path, Path]:
@@ -251,7 +266,7 @@ class FrameResult:
         )
         write_panorama(data / "panorama.jpg", self._colors, grid)
         write_image(data / "depth_mm.png", in_millimetres(depth.depth))
-        self._cloud.write(data / "points.ply")
+        self._cloud.write(data / "points.ply", self.up)
         save_rig(depth.sweep.rig, data / "rig.yaml")
         text = _README.format(
             width=grid.width,
@@ -259,6 +274,7 @@ class FrameResult:
             phi=grid.phi_deg,
             method=self.method,
             points=len(self._cloud.points),
+            axes=AXES_IN_WORDS[self.up],
             max_depth=self.limits.max_depth,
         )
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
@@ -271,12 +287,6 @@ class FrameResult:
             text += _ERRORS
         text += _MADE
         write_text(data / "README.txt", text)
-
-
-def in_millimetres(depth: NDArray[Any]) -> NDArray[np.uint16]:
-    """Return depth in metres as whole millimetres; 0 where it is unknown or beyond 65 m."""
-    steps = np.nan_to_num(1000 * depth)
-    return np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
 
 
 def beside(path: Path) -> tuple[Path, Path]:

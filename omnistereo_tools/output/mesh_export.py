@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.points import AXES, Limits
 
 if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
 
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
-# Turns points, as rows, from the axes of the rig to those of glTF and OpenGL: y up, z back.
-Y_UP = np.diag([1.0, -1.0, -1.0])
 _EYE_FOV = 1.2  # radians from top to bottom, of the camera in a GLB
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
 
@@ -31,6 +29,7 @@ def write_mesh(
     panorama: NDArray[np.uint8],
     limits: Limits,
     doubtful: NDArray[np.bool_] | None = None,
+    up: str | None = None,
 ) -> tuple[int, int]:
     """Write the mesh of a depth panorama in metres; return its number of triangles, and how many
     are doubtful.
@@ -44,6 +43,7 @@ def write_mesh(
         limits: Rays that become vertices; the sky is beyond its `max_depth`.
         doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none
             is.
+        up: Of a .ply file, see `AXES`.
 
     Raises:
         OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be
@@ -54,9 +54,10 @@ def write_mesh(
     vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
     triangles = np.any(vertices[mesh.faces], axis=-1)
     if path.suffix.lower() == ".glb":
-        mesh.vertices = mesh.vertices @ Y_UP
+        mesh.vertices = mesh.vertices @ AXES["y"]
         content = _textured(mesh, uv, panorama, triangles)
     else:
+        mesh.vertices = mesh.vertices @ AXES[up]
         content = _coloured(mesh, _look_up(uv, panorama), vertices)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)

@@ -187,6 +187,12 @@ def write_panorama(path: Path, image: NDArray[Any], grid: SphereGrid) -> None:
         temporary.write_bytes(head + segment + jpeg[2:])
 
 
+def in_millimetres(depth: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return depth in metres as whole millimetres; 0 where it is unknown or beyond 65 m."""
+    steps = np.nan_to_num(1000 * depth)
+    return np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
+
+
 def finer(depth: Depth, width: int) -> int:
     """Return the factor by which the panorama of a depth is enlarged to about `width` columns."""
     return max(1, round(width / depth.grid.width))

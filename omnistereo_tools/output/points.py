@@ -21,6 +21,18 @@ _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
 _PROPERTIES |= dict.fromkeys(("red", "green", "blue"), "u1")
 # MeshLab knows a quality of vertices, and reads a property called confidence as garbage.
 _PROPERTIES |= {"quality": "<f4", "doubtful": "u1"}
+# What turns points, as rows, from the axes of the rig to those with another direction up: y as in
+# OpenGL and glTF, z as in ROS (REP 103).
+AXES = {
+    None: np.eye(3),
+    "y": np.diag([1.0, -1, -1]),
+    "z": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
+}
+AXES_IN_WORDS = {
+    None: "x right, y down, z forward",
+    "y": "x right, y up, z back",
+    "z": "x forward, y left, z up",
+}
 _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 
@@ -87,19 +99,19 @@ class PointCloud:
             doubtful[keep],
         )
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, up: str | None = None) -> None:
         """Write the points as binary PLY, with the properties that MeshLab, CloudCompare and Open3D
-        read, in the axes of the rig.
+        read, in the axes of the rig or with `up`; see `AXES`.
         """
         rows = np.empty(len(self.points), list(_PROPERTIES.items()))
-        places = [*self.points.T, *self.normals.T]
+        places = [*(self.points @ AXES[up]).T, *(self.normals @ AXES[up]).T]
         columns = [*places, *self.colors.T, self.confidence, self.doubtful]
         for name, column in zip(_PROPERTIES, columns, strict=True):
             rows[name] = column
         header = [
             "ply",
             "format binary_little_endian 1.0",
-            "comment metres; x right, y down, z forward; quality is the confidence",
+            f"comment metres; {AXES_IN_WORDS[up]}; quality is the confidence",
         ]
         header += [f"element vertex {len(rows)}"]
         header += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in _PROPERTIES.items()]

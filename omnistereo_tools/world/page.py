@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_tools.output.mesh_export import Y_UP, export_glb, import_trimesh, linear
+from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
 from omnistereo_tools.output.pictures import colorize_depth
+from omnistereo_tools.output.points import AXES
 from omnistereo_tools.output.viewer import packed, page_of, webp
 from omnistereo_tools.world.surface import Surface
 
@@ -24,7 +25,7 @@ def write_surface(folder: Path, surface: Surface) -> None:
     """Write mesh.glb, y up, and mesh.ply, axes of the world, with the colours of the images."""
     trimesh, colors = import_trimesh(), _colors(surface)
     glb = trimesh.Trimesh(
-        surface.vertices @ Y_UP,
+        surface.vertices @ AXES["y"],
         surface.faces,
         vertex_attributes={"_COLOR_0": linear(colors)},
         process=False,

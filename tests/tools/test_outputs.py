@@ -10,14 +10,14 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
 from omnistereo_tools.outputs import READ, hold, let_go
 
-WRITES = ("out", "mesh", "equirectangular", "video", "write")
+WRITES = ("out", "mesh", "equirectangular", "crops", "video", "write")
 FILES = {
     "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
     **dict.fromkeys(
         ("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"),
         "image",
     ),
-    "data/points.png": "image",
+    **dict.fromkeys(("data/points.png", "crops/images/1.png", "crops/transforms.json"), "image"),
     **dict.fromkeys(
         ("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"),
         "image",
@@ -44,6 +44,8 @@ COMMANDS = [
     "depth --rig rig.yaml --images 1.ply 2.png --mesh 1.ply",
     "depth --rig rig.yaml --images overview.png 2.png --out .",
     "depth --rig rig.yaml --images data/points.png 2.png --out .",
+    "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",
+    "depth --rig crops/transforms.json --images 1.tiff 2.png --crops crops",
     "depth --rig set --equirectangular set/omnidepth_gt_640/1.tiff",
     "record --rig rig.yaml --images front.mp4 back.mp4 --video front.mp4",
     "record --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
