@@ -46,7 +46,7 @@ def convert(rig: Rig, program: str, path: Path) -> list[str]:
     PROGRAMS[program](rig, parameters, path)
     return [
         f"its camera model follows the lenses to {max(residuals):.2f} px at worst",
-        *beyond_sentences(rig),
+        *beyond_sentences(rig, program == "colmap"),
     ]
 
 
@@ -221,18 +221,19 @@ def _angles(camera: OcamCamera) -> NDArray[np.float64]:
     return np.where(valid, np.degrees(np.arccos(np.clip(rays[..., 2], -1, 1))), np.nan)
 
 
-def beyond_sentences(rig: Rig) -> list[str]:
-    """Return how much of the images OpenCV, COLMAP and nerfstudio cannot use, and what to do."""
+def beyond_sentences(rig: Rig, with_masks: bool = True) -> list[str]:
+    """Return how much of the images OpenCV, COLMAP and nerfstudio cannot use, and, where COLMAP's
+    masks are written, what to do.
+    """
     angles = np.concatenate([_angles(camera).ravel() for camera in rig.cameras])
     share = float((angles > 90).sum() / np.isfinite(angles).sum())
     if share == 0:
         return []
-    return [
-        f"{100 * share:.0f} % of the pixels lie beyond 90° from the axis: OpenCV, COLMAP and "
-        "nerfstudio "
-        "give them false rays without a word. Extract the features of cam1/ with --ImageReader."
-        "camera_mask_path colmap/masks/cam1.png, and so on"
-    ]
+    said = f"{100 * share:.0f} % of the pixels lie beyond 90° from the axis: OpenCV, COLMAP and "
+    said += "nerfstudio give them false rays without a word"
+    masks = "--ImageReader.camera_mask_path colmap/masks/cam1.png"
+    do = f". Extract the features of cam1/ with {masks}, and so on"
+    return [said + do * with_masks]
 
 
 def resized(rig: Rig, size: tuple[int, int]) -> Rig:
