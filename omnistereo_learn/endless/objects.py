@@ -68,10 +68,8 @@ def surface(
     dark, light = u(0.06, 0.9, 2)
     if rng.random() < 0.35:
         light = dark + (light - dark) * u(0.1, 0.4)
-    dirt, mirror = (
-        rng.choice([0, u(0.02, 0.25)], p=[0.4, 0.6]),
-        rng.choice([0, u(0.02, 0.12)], p=[0.8, 0.2]),
-    )
+    dirt = rng.choice([0, u(0.02, 0.25)], p=[0.4, 0.6])
+    mirror = rng.choice([0, u(0.02, 0.12)], p=[0.8, 0.2])
     skin = {
         "texture": texture,
         "dark": dark,
@@ -300,11 +298,9 @@ def tree(b: Builder) -> None:
 
 
 def _bush(b: Builder) -> None:
-    u, half, skin = (
-        b.rng.uniform,
-        b.rng.uniform(0.25, 1.1, 3),
-        surface(b.rng, 0.4, tx.CLOUDS, mirror=0.0),
-    )
+    u = b.rng.uniform
+    half = b.rng.uniform(0.25, 1.1, 3)
+    skin = surface(b.rng, 0.4, tx.CLOUDS, mirror=0.0)
     b.add(
         SOFT,
         (0, -0.8 * half[1], 0),
@@ -320,10 +316,8 @@ def car(b: Builder) -> None:
     """Add a car, along z."""
     u = b.rng.uniform
     L, H, tyre, glass = u(1.7, 2.6), u(1.35, 2.2), plain(0.04), plain(u(0.02, 0.1), mirror=0.06)
-    body, cabin = (
-        plain(u(0.03, 0.9), mirror=u(0.03, 0.1), dirt=0.05, dirt_scale=3.0, roundness=3),
-        L * u(0.45, 0.75),
-    )
+    body = plain(u(0.03, 0.9), mirror=u(0.03, 0.1), dirt=0.05, dirt_scale=3.0, roundness=3)
+    cabin = L * u(0.45, 0.75)
     b.add(SOFT, (0, -0.58, 0), (0.88, 0.42, L), body)
     b.add(SOFT, (0, -0.5 * (0.8 + H), 0.1), (0.78, 0.5 * (H - 0.8), cabin), glass, roundness=2)
     b.add(SOFT, (0, -H, 0.1), (0.7, 0.05, 0.7 * cabin), body)

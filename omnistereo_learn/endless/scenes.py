@@ -41,11 +41,9 @@ def _sun_and_sky(rng: Generator) -> NDArray[Any]:
         math.cos(height) * math.sin(azimuth),
     )
     light["sun"] = rng.uniform(0.3, 1.2) if rng.random() < 0.65 else 0.0
-    light["ambient"], light["falloff"], light["seed"] = (
-        rng.uniform(0.3, 0.8),
-        0.1,
-        rng.integers(1 << 30),
-    )
+    light["ambient"] = rng.uniform(0.3, 0.8)
+    light["falloff"] = 0.1
+    light["seed"] = rng.integers(1 << 30)
     light["zenith"], light["horizon"] = rng.uniform(0.35, 0.95, 2)
     light["cloudiness"] = rng.choice([0, 1, rng.random()])
     return light
@@ -200,10 +198,8 @@ def things(rng: Generator) -> Drawn:
     u, b = rng.uniform, Builder.empty(rng)
     if rng.random() < 0.55:
         size = log_uniform(rng, 5, 40)
-        shell, half = (
-            b.at(u(-0.2, 0.2, 3) * size, tilt=rng.normal(size=3)),
-            (size, size * u(0.4, 1), size),
-        )
+        shell = b.at(u(-0.2, 0.2, 3) * size, tilt=rng.normal(size=3))
+        half = (size, size * u(0.4, 1), size)
         shell.add(rng.choice([BOX, ELLIPSOID]), (0, 0, 0), half, surface(rng, size / 2, blank=0.15))
     if rng.random() < 0.5:
         ground = b.at((0, u(0.6, 3), 0), tilt=rng.normal(0, 0.05, 3))

@@ -143,10 +143,8 @@ def _books(u: float, v: float, foot: float, face: int, q: Any, seed: int) -> flo
         u, v = v, u
     column, row = math.floor(u), math.floor(v / q[0])
     split = 0.2 + 0.6 * random(int(column), int(row), face, seed + 1)
-    left, right = (
-        random(int(column), int(row), face, seed + 2),
-        random(int(column), int(row), face, seed + 3),
-    )
+    left = random(int(column), int(row), face, seed + 2)
+    right = random(int(column), int(row), face, seed + 3)
     return mix(0.5, mix(left, right, _inside(u - column - split, foot)), 1 - ramp(0.4, 1.2, foot))
 
 

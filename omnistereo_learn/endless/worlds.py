@@ -194,11 +194,9 @@ def draw_rig(rng: Generator, radius: float, size: float = 1.0) -> Rig:
     widest = rng.uniform(195, 230) if count < 4 else rng.uniform(160, 230)
     width, bend, alike = int(size * rng.integers(300, 401)), rng.uniform(-1, 1), rng.random() < 0.7
     whole = Pose.from_vector([*rng.normal(0, np.radians(4), 3), 0, 0, 0])
-    start, looks, sloppy = (
-        rng.uniform(0, 2 * np.pi),
-        rng.choice([-1, 1]),
-        np.radians(rng.choice([1, 4])),
-    )
+    start = rng.uniform(0, 2 * np.pi)
+    looks = rng.choice([-1, 1])
+    sloppy = np.radians(rng.choice([1, 4]))
     upright = rng.random() < 0.85
     cameras, poses = [], []
     for k in range(count):

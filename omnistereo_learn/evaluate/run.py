@@ -77,30 +77,23 @@ class Job(NamedTuple):
     method: EvaluatedMethod
 
 
-def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]:
+def find_sets(names: Sequence[str]) -> dict[str, Path]:
     """Return the folders of data sets by name; refuse a missing one, or two of one name.
 
-    "sunny" means data_samples/sunny/test, or with split "train" the set sunny-train. Anything else
-    is a folder, called by its own name or, if it is a split, also by that of its parent, such as
-    city-train.
+    "sunny" means data_samples/sunny/test. Anything else is a folder, called by its own name or, if
+    it is a split, also by that of its parent, such as city-train.
     """
     sets: dict[str, Path] = {}
     for text in names:
-        name, folder = (
-            f"{text}-train" if split == "train" else text,
-            DATA / text / (split or "test"),
-        )
+        name, folder = text, DATA / text / "test"
         if Path(text).name == text:
             unpack(folder)
         if Path(text).name != text or not folder.is_dir():
             folder = Path(text).resolve()
-            name = (
-                f"{folder.parent.name}-{folder.name}"
-                if folder.name in ("train", "test")
-                else folder.name
-            )
+            is_split = folder.name in ("train", "test")
+            name = f"{folder.parent.name}-{folder.name}" if is_split else folder.name
         if not folder.is_dir():
-            places = f"{DATA / text / (split or 'test')} or {folder}"
+            places = f"{DATA / text / 'test'} or {folder}"
             raise OmnistereoError(
                 f"data set {text!r} not found in {places}. Pass a bundled name or a data set"
                 " folder."
@@ -140,13 +133,11 @@ class Evaluation:
 
     Args:
         out: Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
-        sets, split: Folders with ground truth by name, as `find_sets` returns them; their split,
-        see `load_dataset`.
+        sets: Folders with ground truth by name, as `find_sets` returns them.
         frames: Frame numbers, the same in every set; default: all with ground truth.
         weights, device, precision: Folder of the weights; see `select_device` and `LearnedCost`.
         rig: Another rig, such as a calibrated one, in place of the rig of every set: anything that
             `load_rig` reads. Its first camera gets the pose of the first camera of the set.
-        max_fov_deg: Limit of the field of view of all rigs, see `load_rig`.
 
     Raises:
         OmnistereoError: If data, weights, rig or device are missing, the rig has other cameras than
@@ -160,31 +151,22 @@ class Evaluation:
         sets: Mapping[str, Path],
         methods: Sequence[EvaluatedMethod] = METHODS,
         scale: Scale = SCALES["teaching"],
-        split: str | None = None,
         frames: Sequence[int] | None = None,
         weights: str | Path = BUNDLED_WEIGHTS,
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
         rig: str | Path | None = None,
-        max_fov_deg: float | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
-        self.scale, self.weights, self.device, self.out = (
-            scale,
-            Path(weights),
-            select_device(device),
-            Path(out),
-        )
+        self.scale = scale
+        self.weights = Path(weights)
+        self.device = select_device(device)
+        self.out = Path(out)
         stored = read_facts(self.out / PROVENANCE)
         self.precision = choose_precision(kept_precision(precision, stored), self.device)
-        self.sets = {
-            name: load_dataset(path, None if path.name == split else split, max_fov_deg=max_fov_deg)
-            for name, path in sets.items()
-        }
+        self.sets = {name: load_dataset(path) for name, path in sets.items()}
         self._rigs = (
-            {}
-            if rig is None
-            else {name: _read_rig(rig, data, max_fov_deg) for name, data in self.sets.items()}
+            {} if rig is None else {name: _read_rig(rig, data) for name, data in self.sets.items()}
         )
         chosen = [
             (name, frame)
@@ -197,7 +179,6 @@ class Evaluation:
         rig_text = (
             "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         )
-        rig_text += "" if max_fov_deg is None else f", {max_fov_deg:g}°"
         self._config = asdict(scale) | {"rig": rig_text}
         self._data = {
             (name, frame.number): _checksums(name, self.sets[name].folder, frame)
@@ -263,10 +244,8 @@ class Evaluation:
                 rig = self._rigs.get(name, frame.rig)
                 # the sweep's lookup tables serve all frames of a rig
                 if sweep is None or rig is not swept:
-                    sweep, swept = (
-                        SphereSweep(rig, self._grid(rig, num_spheres), device=self.device),
-                        rig,
-                    )
+                    sweep = SphereSweep(rig, self._grid(rig, num_spheres), device=self.device)
+                    swept = rig
                 for method, errors in evaluate_frame(sweep, frame, methods, load_cost):
                     job = Job(name, number, method)
                     write_record(
@@ -322,16 +301,10 @@ class Evaluation:
         """Return the SHA-256 of all that a result depends on."""
         config, weights = self._config, None
         if job.method.has_weights:
-            config, weights = (
-                config | self._precision,
-                self._weights[job.method.weights_file(self.weights).name],
-            )
-        inputs = {
-            "config": config,
-            "method": asdict(job.method),
-            "data": self._data[job[:2]],
-            "weights": weights,
-        }
+            config = config | self._precision
+            weights = self._weights[job.method.weights_file(self.weights).name]
+        method, data = asdict(job.method), self._data[job[:2]]
+        inputs = {"config": config, "method": method, "data": data, "weights": weights}
         return checksum(json.dumps(inputs, sort_keys=True).encode())
 
     @property
@@ -344,10 +317,8 @@ def _weights_checksums(methods: Sequence[EvaluatedMethod], folder: Path) -> dict
     paths = {method: method.weights_file(folder) for method in methods if method.has_weights}
     missing = {method: path for method, path in paths.items() if not path.is_file()}
     if missing:
-        files, names = (
-            ", ".join({str(path): "" for path in missing.values()}),
-            ", ".join(m.name for m in missing),
-        )
+        files = ", ".join({str(path): "" for path in missing.values()})
+        names = ", ".join(m.name for m in missing)
         others = (
             " ".join(method.name for method in methods if method not in missing) or "zncc zncc+sgm"
         )
@@ -372,9 +343,9 @@ def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
     return with_gt
 
 
-def _read_rig(path: str | Path, data: Dataset, max_fov_deg: float | None) -> Rig:
+def _read_rig(path: str | Path, data: Dataset) -> Rig:
     """Read a rig and give its first camera the pose of that of a data set: the spheres stay."""
-    own, rig = data.rig, read_any_rig(path, None, max_fov_deg, keep_frame=True)
+    own, rig = data.rig, read_any_rig(path, keep_frame=True)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
         raise OmnistereoError(
@@ -389,12 +360,12 @@ def _rig_files(path: Path) -> list[Path]:
     """Return the files that describe a rig: of a folder, all that may; else the one."""
     if path.is_file():
         return [path]
-    files = [
+    return [
         inside
         for inside in sorted(path.iterdir())
         if inside.suffix in _RIG_FILES and inside.is_file()
+        if inside.name != "trajectory.txt"  # where the rig was
     ]
-    return [inside for inside in files if inside.name != "trajectory.txt"]  # where the rig was
 
 
 def _checksums(name: str, set_folder: Path, frame: Frame) -> dict[str, str]:

@@ -240,10 +240,8 @@ class EntropyObjective(_PatchObjective):
     def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
         """Return the loss, and the fraction of pairs that are taken for the wrong kind."""
         match, other = self.scores(batch)
-        score, label = (
-            torch.cat([match, other]),
-            torch.cat([torch.zeros_like(match), torch.ones_like(other)]),
-        )
+        score = torch.cat([match, other])
+        label = torch.cat([torch.zeros_like(match), torch.ones_like(other)])
         return (
             binary_cross_entropy_with_logits(score, label),
             ((score > 0) != (label > 0.5)).float().mean(),

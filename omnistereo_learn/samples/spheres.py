@@ -86,10 +86,8 @@ class SphereSamples(SweptFrames):
                     spherical_images, gt_sphere, columns, rng
                 )
                 pairs = [(j, i) if rng.integers(2) else (i, j) for i, j in pairs]
-            visible, positive = (
-                ~spherical_images.isnan().cpu().numpy(),
-                gt_sphere == spheres[:, None, None],
-            )
+            visible = ~spherical_images.isnan().cpu().numpy()
+            positive = gt_sphere == spheres[:, None, None]
             strips = self._strips(visible, positive, np.isfinite(gt_sphere), columns, pairs, rng)
             if strips:
                 return SphereBatch(spherical_images, strips)

@@ -66,11 +66,9 @@ class VolumeSamples(TrainingFrames):
         """Draw the rotation of a grid, any way about the vertical, ±10° tilted, and a scale."""
         if rng is None:
             return np.eye(3), 1.0
-        tilt, axis, roll = (
-            np.radians(rng.uniform(-10, 10)),
-            rng.uniform(0, 2 * np.pi),
-            rng.uniform(0, 2 * np.pi),
-        )
+        tilt = np.radians(rng.uniform(-10, 10))
+        axis = rng.uniform(0, 2 * np.pi)
+        roll = rng.uniform(0, 2 * np.pi)
         tilted = Pose.from_vector([tilt * np.cos(axis), 0, tilt * np.sin(axis), 0, 0, 0])
         rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
         return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
@@ -113,11 +111,9 @@ def _other_look(
         return to_device(image, device)
     if rng.random() < 0.3:
         image = blur(image, rng.uniform(0.3, 1.0))
-    gain, gamma, noise = (
-        np.exp(rng.uniform(-0.25, 0.25)),
-        np.exp(rng.uniform(-0.3, 0.3)),
-        rng.uniform(0, 0.02),
-    )
+    gain = np.exp(rng.uniform(-0.25, 0.25))
+    gamma = np.exp(rng.uniform(-0.3, 0.3))
+    noise = rng.uniform(0, 0.02)
     gray = (to_device(image, device) / 255 * gain).clamp(0, 1) ** gamma
     generator = torch.Generator(device).manual_seed(int(rng.integers(1 << 62)))
     return gray + noise * torch.randn(gray.shape, device=device, generator=generator)
@@ -137,10 +133,8 @@ class VolumeObjective(nn.Module):
         ]
         index = torch.stack([one.index for one in batch])
         columns = torch.arange(self.grid.width, device=index.device)
-        logits, known = (
-            resize_logits(self.network(torch.stack(volumes)), columns, self.grid),
-            ~index.isnan(),
-        )
+        logits = resize_logits(self.network(torch.stack(volumes)), columns, self.grid)
+        known = ~index.isnan()
         if not known.any():
             raise OmnistereoError(
                 "no ray of a batch has ground truth within the swept range. Check the nearest"

@@ -90,10 +90,8 @@ def sparsification(
     >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be
     ([2.5, 1.5], True)
     """
-    error, confidence = (
-        np.asarray(error, np.float64).ravel(),
-        np.asarray(confidence, np.float64).ravel(),
-    )
+    error = np.asarray(error, np.float64).ravel()
+    confidence = np.asarray(confidence, np.float64).ravel()
     if error.shape != confidence.shape:
         raise OmnistereoError(
             f"there are {error.size} errors and {confidence.size} confidences; expected as many"

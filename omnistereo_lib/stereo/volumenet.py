@@ -116,10 +116,8 @@ class Conv3d(nn.Module):
         # A trained normalisation is an affine map of each channel, γ (x - μ) / √(σ² + ε) + β, so it
         # can be part of the weights and the bias: the volume is read and written once less.
         scale = norm.weight / (norm.running_var + norm.eps).sqrt()
-        weight, bias = (
-            conv.weight * scale[:, None, None, None, None],
-            norm.bias - norm.running_mean * scale,
-        )
+        weight = conv.weight * scale[:, None, None, None, None]
+        bias = norm.bias - norm.running_mean * scale
         return relu(conv3d(wrap(x), weight, bias, conv.stride, conv.padding), inplace=True)
 
 

@@ -109,16 +109,6 @@ def test_a_converted_rig_keeps_its_frame_and_field_of_view(world, tmp_path, caps
     np.testing.assert_allclose(read.T_rig_cam[1].R, robot.R, atol=1e-9)
 
 
-def test_evaluations_of_other_fields_of_view_are_kept_apart(tmp_path):
-    from omnistereo_learn.evaluate import Evaluation
-
-    grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
-    folder = scene.write_set(tmp_path / "set", scene.rig(width=200, height=192), grid, [(0, 0, 0)])
-    narrow = Evaluation(tmp_path / "out", {"set": folder}, max_fov_deg=180)
-    assert {camera.max_fov_deg for camera in narrow.sets["set"].rig.cameras} == {180}
-    assert narrow.inputs != Evaluation(tmp_path / "all", {"set": folder}).inputs
-
-
 def test_the_frame_of_ground_truth_is_kept(tmp_path):
     grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
     folder = scene.write_set(tmp_path / "set", scene.rig(width=200, height=192), grid, [(0, 0, 0)])

@@ -50,10 +50,8 @@ def _read_rays(
             for n in range(N):
                 if p[n] == 0:
                     continue
-                square, share = (
-                    p[n] / total * (n - at) ** 2,
-                    min(max(radius + 1 - abs(n - at), 0.0), 1.0),
-                )
+                square = p[n] / total * (n - at) ** 2
+                share = min(max(radius + 1 - abs(n - at), 0.0), 1.0)
                 spread += square
                 inside += share * square
                 mass += share * p[n] / total

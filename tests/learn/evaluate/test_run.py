@@ -379,15 +379,6 @@ def test_sets_are_found_by_name_and_by_folder(data, tmp_path):
         find_sets(["rainy"])
 
 
-@pytest.mark.parametrize(
-    ("split", "name", "frame"),
-    [(None, "sunny", 706), ("test", "sunny", 706), ("train", "sunny-train", 3)],
-)
-def test_the_split_of_a_bundled_set_may_be_named(tmp_path, split, name, frame):
-    task = Evaluation(tmp_path, find_sets(["sunny"], split), ZNCC[:1], SMALL, split, [frame])
-    assert [(job.data, job.frame) for job in task.jobs] == [(name, frame)]
-
-
 # ---- the command line
 
 

@@ -50,7 +50,7 @@ def test_they_come_from_what_ships(name):
     for key, digest in stored["data"].items():
         data, _, file = key.partition("/")
         split = split_of(name)
-        unpack(DATA / data)
+        unpack(DATA / data / split)
         # lights share the depth of one drive
         own, shared = DATA / data / split / file, DATA / "sunny" / split / file
         assert checksum((own if own.is_file() else shared).read_bytes()) == digest, key
