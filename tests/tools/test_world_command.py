@@ -85,7 +85,7 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
 
 @pytest.mark.parametrize("size", [(900, 600), (390, 600)], ids=str)
 def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
-    page = open_page(*size)
+    page = open_page(*size, reduced_motion="no-preference")
     page.goto((world / "index.html").as_uri())
     page.wait_for_selector("body[data-drawn]")
     # Around two directions, what the first frame shows there, as bright as the page draws it.
