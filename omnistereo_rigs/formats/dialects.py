@@ -6,13 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
 from omnistereo_lib.parse import Section, check_count
-from omnistereo_lib.pictures import read_gray
 from omnistereo_lib.rig_file import MAX_BYTES
 from omnistereo_rigs.formats import colmap, opencv
 from omnistereo_rigs.formats.camera_models import (
@@ -138,27 +134,11 @@ def _sockets(data: Section, path: Path) -> list[Section]:
 
 
 def _metashape(lens: Section) -> dict[str, float]:
-    """Return its numbers; u = (f + b1) x + b2 y + cx, v = f y + cy."""
-    found = numbers(lens, {"f": "f"} | {f"{key}?": key for key in ("cx", "cy", *METASHAPE)})
-    b1, b2 = (lens.number(key, 0) for key in ("b1", "b2"))
-    return found | {"fx": found["fx"] + b1, "skew": b2}
-
-
-# Masks, bright where the image is valid.
-
-
-def _mask_beside(
-    cam: Section, path: Path, n: int, size: tuple[int, int]
-) -> NDArray[np.bool_] | None:
-    file = path.parent / f"cam{n}" / "mask.png"
-    return read_gray(file, size) >= 128 if file.exists() else None
-
-
-def _mask_named(
-    cam: Section, path: Path, n: int, size: tuple[int, int]
-) -> NDArray[np.bool_] | None:
-    name = cam.get("mask_path")
-    return None if name is None else read_gray(path_within(path.parent, name, path), size) >= 128
+    """Return its numbers; u = (f + b1) x + b2 y + cx, v = f y + cy, from the middle."""
+    found = numbers(lens, {"f": "f"} | {f"{key}?": key for key in METASHAPE})
+    b1, b2, cx, cy = (lens.number(key, 0) for key in ("b1", "b2", "cx", "cy"))
+    middle = {"cx": lens.number("width") / 2 + cx - 0.5, "cy": lens.number("height") / 2 + cy - 0.5}
+    return found | middle | {"fx": found["fx"] + b1, "skew": b2}
 
 
 # What recognises a file.
@@ -246,7 +226,7 @@ DIALECTS = (
         },
         poses=(Way("T_imu_cam"),),
         unit="metres",
-        mask=_mask_beside,
+        mask=lambda cam, n: f"cam{n}/mask.png",
     ),
     Dialect(
         name="Kalibr camchain",
@@ -315,7 +295,7 @@ DIALECTS = (
             "applied_scale": Value((1,), "Divide the translations by it, and delete it"),
         },
         origin=0.5,
-        mask=_mask_named,
+        mask=lambda cam, n: cam.get("mask_path"),
     ),
     Dialect(
         name="Gyroflow lens profile",
@@ -407,7 +387,6 @@ DIALECTS = (
         size="width height",
         unit="",
         measured_deg={f"metashape {ours}": _AHEAD for ours in _FISHEYES.values()},
-        origin=None,
     ),
     _COLMAP,
     replace(

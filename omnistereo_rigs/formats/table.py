@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
+from omnistereo_lib.files import path_within
 from omnistereo_lib.geometry.pose import Floats, Pose, quaternion_pose, rotation_from_axis_angle
 from omnistereo_lib.parse import (
     Section,
@@ -25,6 +25,7 @@ from omnistereo_lib.parse import (
     parse_size,
     warn_if_different,
 )
+from omnistereo_lib.pictures import read_gray
 from omnistereo_rigs.formats.camera_models import RADTAN
 from omnistereo_rigs.formats.fit import Lens
 
@@ -76,12 +77,13 @@ class Dialect:
     poses: Sequence[Way] = ()  #: the first that all cameras state is used, others are compared
     unit: str = UNSTATED  #: or one of `METRES`; "" of a lens by itself
     measured_deg: Mapping[str, float] = field(default_factory=dict)  #: of our model: see `Lens`
-    origin: float | None = 0.0  #: of the first pixel's centre; None: cx, cy are from the middle
+    origin: float = 0.0  #: of the first pixel's centre
     aliases: Mapping[str, str] = field(default_factory=dict)  #: words for words
     values: Mapping[str, Value] = field(default_factory=dict)  #: what is read only if it is so
     first_is_rig: bool = False  #: whether the first camera is the rig frame, whatever poses say
     settings: bool = False  #: whether its top level holds settings of a program, too
-    mask: Callable[[Section, Path, int, tuple[int, int]], NDArray[np.bool_] | None] | None = None
+    #: The file of a camera's mask, bright where the image is valid, by its number, from 0.
+    mask: Callable[[Section, int], str | None] = lambda cam, n: None
 
 
 class Found(NamedTuple):
@@ -129,10 +131,13 @@ def _lens(row: Dialect, cam: Section, path: Path, n: int) -> Lens:
     names = " and ".join(cam.at(place)[1] for place in row.size.split())
     size = parse_size(sides if len(sides) > 1 else sides[0], names)
     parameters = dict(spec(cam) if callable(spec) else numbers(cam, spec))
-    for axis, side in zip(("cx", "cy"), size, strict=True):
-        middle = side / 2 - 0.5 if row.origin is None else -row.origin
-        parameters[axis] = parameters.get(axis, 0.0) + middle
-    mask = row.mask(cam, path, n, size) if row.mask else None
+    parameters |= {axis: parameters[axis] - row.origin for axis in ("cx", "cy")}
+    name = row.mask(cam, n)
+    file = None if name is None else path_within(path.parent, name, path)
+    mask = None
+    # What a camera names is there; a mask beside the file may be.
+    if file is not None and (file.exists() or cam.get("mask_path") is not None):
+        mask = read_gray(file, size) >= 128
     source = f"{path}, {cam.name}" if cam.name else str(path)
     return Lens(source, model, parameters, size, mask, row.measured_deg.get(model))
 

@@ -3,6 +3,7 @@ exported comes back."""
 
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 from rigs.formats.rig_file_samples import (
@@ -213,6 +214,20 @@ WRONG_FRAMES = [
 def test_frames_that_are_refused(tmp_path, changes, message):
     with pytest.raises(OmnistereoError, match=message):
         read(tmp_path / "t.json", transforms(**changes), "m")
+
+
+def test_masks_of_frames_are_bright_inside(tmp_path):
+    data = transforms()
+    data["frames"][1]["mask_path"] = "masks/2.png"
+    with pytest.raises(OmnistereoError, match=r"masks/2.png .*No such file"):
+        read(tmp_path / "t.json", data, "m")
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    mask[200:600, 100:700] = 255
+    (tmp_path / "masks").mkdir()
+    cv2.imwrite(str(tmp_path / "masks" / "2.png"), mask)
+    first, second = read(tmp_path / "t.json", data, "m")[0].cameras
+    assert first.mask is None
+    np.testing.assert_array_equal(second.mask, mask == 255)
 
 
 def test_moments_of_one_camera_are_no_rig(tmp_path):
