@@ -51,15 +51,8 @@ from omnistereo_lib.stereo.learned import Precision, autocast, choose_precision
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 
 STATE, WEIGHTS, LOG = "state.safetensors", "weights.safetensors", "log.csv"
-COLUMNS = (
-    "step",
-    "loss",
-    "error",
-    "learning_rate",
-    "seconds",
-    "validation_loss",
-    "validation_error",
-)
+COLUMNS: tuple[str, ...] = ("step", "loss", "error", "learning_rate", "seconds")
+COLUMNS += ("validation_loss", "validation_error")
 _SAMPLES = {"sweepnet": SphereSamples, "mccnn": PatchSamples, "volumenet": VolumeSamples}
 _FEW = 100  # steps, in which one may be skipped
 _TRAIN, _VALIDATE, _NORMS = range(3)  # purposes of random numbers, so that no two share any
@@ -229,12 +222,8 @@ class _Run:
         finite = math.isfinite(loss + norm)
         if finite:
             self.optimizer.step()
-        return {
-            "step": step,
-            "loss": loss if finite else math.nan,
-            "error": error,
-            "learning_rate": rate,
-        }
+        told = loss if finite else math.nan
+        return {"step": step, "loss": told, "error": error, "learning_rate": rate}
 
     @torch.no_grad()
     def validate(self, done: int) -> dict[str, float]:

@@ -181,15 +181,8 @@ class MCCNNRecipe(Recipe):
 
 
 # The optimiser of both papers.
-PAPERS: dict[str, Any] = {
-    "optimizer": "sgd",
-    "learning_rate": 0.003,
-    "schedule": "drop",
-    "warmup": 0,
-    "weight_decay": 0.0,
-    "augment": False,
-    "clip": 1e9,
-}
+PAPERS: dict[str, Any] = {"optimizer": "sgd", "learning_rate": 0.003, "schedule": "drop"}
+PAPERS |= {"warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
 
 # teaching: minutes on two cores, enough to see it learn. shipped: what made omnistereo_lib/weights.
 # paper: the numbers of the papers, for a GPU and their data; steps = 14 epochs.

@@ -21,13 +21,8 @@ _MAX_SIDE = 100_000
 # Of a JPEG, whose decoder goes over the whole picture for each of its scans.
 _MAX_SCANS = 64
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
-_NOT_READ = {
-    "CMYK": "CMYK colours",
-    "LAB": "CIELAB colours",
-    "YCbCr": "YCbCr colours",
-    "HSV": "HSV colours",
-}
 # modes, as Pillow calls them
+_NOT_READ = {mode: f"{mode} colours" for mode in ("CMYK", "LAB", "YCbCr", "HSV")}
 _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
 # width, height, largest value

@@ -47,13 +47,8 @@ def provenance(
         inputs: Checksum, such as `arrays_checksum`.
     """
     of_rig = rig_checksum(rig) if isinstance(rig, Rig) else rig
-    facts: dict[str, Any] = {
-        "version": _version(),
-        "rig": of_rig,
-        "inputs": inputs,
-        "method": method,
-    }
-    facts |= {"precision": precision, "threads": threads}
+    facts: dict[str, Any] = {"version": _version(), "rig": of_rig, "inputs": inputs}
+    facts |= {"method": method, "precision": precision, "threads": threads}
     return {name: fact for name, fact in facts.items() if fact is not None}
 
 
@@ -67,16 +62,9 @@ def rig_checksum(rig: Rig) -> str:
     """Return a checksum of what depth depends on: lenses, masks, poses and the nearest depth."""
     content = repr(rig.min_depth).encode()
     for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
-        numbers = (
-            lens.poly,
-            lens.inv_poly,
-            lens.center,
-            lens.affine,
-            lens.image_size,
-            lens.max_fov_deg,
-        )
+        names = ("poly", "inv_poly", "center", "affine", "image_size", "max_fov_deg")
         # A fit has other last digits elsewhere.
-        for values in (*numbers, pose.R, pose.t):
+        for values in (*(getattr(lens, name) for name in names), pose.R, pose.t):
             content += np.asarray(values, np.float32).tobytes()
         content += b"" if lens.mask is None else lens.mask.tobytes()
     return checksum(content)[:16]

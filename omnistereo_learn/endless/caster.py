@@ -212,13 +212,9 @@ def _normal(p: Any, x: Vector) -> Vector:
         return _unit((a / p.half[0], b / p.half[1], c / p.half[2]))
     # The gradient of the depth, by forward differences.
     e, here = 1e-4 * min(p.half[0], p.half[1], p.half[2]), _depth_in_soft(p, x)
-    return _unit(
-        (
-            _depth_in_soft(p, (x[0] + e, x[1], x[2])) - here,
-            _depth_in_soft(p, (x[0], x[1] + e, x[2])) - here,
-            _depth_in_soft(p, (x[0], x[1], x[2] + e)) - here,
-        )
-    )
+    a = _depth_in_soft(p, (x[0] + e, x[1], x[2])) - here
+    b = _depth_in_soft(p, (x[0], x[1] + e, x[2])) - here
+    return _unit((a, b, _depth_in_soft(p, (x[0], x[1], x[2] + e)) - here))
 
 
 @_compiled
@@ -398,47 +394,18 @@ def look(
         for x in range(1, w - 1):
             # An edge crosses a pixel if its neighbours are another primitive, or much nearer or
             # farther.
-            far = max(
-                inverse[y - 1, x],
-                inverse[y + 1, x],
-                inverse[y, x - 1],
-                inverse[y, x + 1],
-                inverse[y, x],
-            )
-            near = min(
-                inverse[y - 1, x],
-                inverse[y + 1, x],
-                inverse[y, x - 1],
-                inverse[y, x + 1],
-                inverse[y, x],
-            )
-            seen = (
-                visible[y - 1, x]
-                and visible[y + 1, x]
-                and visible[y, x - 1]
-                and visible[y, x + 1]
-                and visible[y, x]
-            )
-            same = (
-                number[y - 1, x]
-                == number[y + 1, x]
-                == number[y, x - 1]
-                == number[y, x + 1]
-                == number[y, x]
-            )
+            seen, same, near, far = True, True, np.inf, 0.0
+            for v, u in ((y, x), (y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                seen, same = seen and visible[v, u], same and number[v, u] == number[y, x]
+                near, far = min(near, inverse[v, u]), max(far, inverse[v, u])
             if not seen or (same and far < 1.3 * near):
                 continue
             across, down = rays[y, x + 1] - rays[y, x - 1], rays[y + 1, x] - rays[y - 1, x]
             # Two more rays, a third of a pixel before and behind along the diagonal: the neighbours
             # are two pixels apart, of which a sixth is a third of one.
             for step in (-1 / 6, 1 / 6):
-                d = _unit(
-                    (
-                        rays[y, x, 0] + step * (across[0] + down[0]),
-                        rays[y, x, 1] + step * (across[1] + down[1]),
-                        rays[y, x, 2] + step * (across[2] + down[2]),
-                    )
-                )
+                to = rays[y, x] + step * (across + down)
+                d = _unit((to[0], to[1], to[2]))
                 gray[y, x] += _look(prims, tree, light, o, d, 0.5 * pixel)[0]
             gray[y, x] /= 3
 

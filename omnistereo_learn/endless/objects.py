@@ -17,17 +17,7 @@ from omnistereo_learn.endless.caster import BOX, CYLINDER, ELLIPSOID, PRIMITIVE,
 from omnistereo_lib.geometry.pose import rotation_from_axis_angle
 
 Surface = dict[str, Any]  # fields of PRIMITIVE
-_COMMON = (
-    tx.CLOUDS,
-    tx.CLOUDS,
-    tx.CLOUDS,
-    tx.CHECKER,
-    tx.BRICKS,
-    tx.BRICKS,
-    tx.BOOKS,
-    tx.GRAIN,
-    tx.POSTER,
-)
+_COMMON = 3 * [tx.CLOUDS] + [tx.CHECKER, tx.BRICKS, tx.BRICKS, tx.BOOKS, tx.GRAIN, tx.POSTER]
 
 
 def log_uniform(rng: Generator, low: float, high: float) -> float:
@@ -70,15 +60,9 @@ def surface(
         light = dark + (light - dark) * u(0.1, 0.4)
     dirt = rng.choice([0, u(0.02, 0.25)], p=[0.4, 0.6])
     mirror = rng.choice([0, u(0.02, 0.12)], p=[0.8, 0.2])
-    skin = {
-        "texture": texture,
-        "dark": dark,
-        "light": light,
-        "scale": scale,
-        "pattern": pattern,
-        "mirror": mirror,
-    }
-    return skin | {"dirt": dirt, "dirt_scale": log_uniform(rng, 1, 12) / math.sqrt(size)} | fields
+    skin = {"texture": texture, "dark": dark, "light": light, "scale": scale, "pattern": pattern}
+    skin |= {"dirt": dirt, "dirt_scale": log_uniform(rng, 1, 12) / math.sqrt(size)}
+    return skin | {"mirror": mirror} | fields
 
 
 @dataclass
@@ -175,13 +159,8 @@ def _chair(b: Builder) -> None:
             b.rod((x, -seat, w), (x, -back, w + 0.06), thin, skin)
         b.rod((-w, -back, w + 0.06), (w, -back, w + 0.06), thin, skin)
     else:
-        b.add(
-            SOFT,
-            (0, -(seat + back) / 2 - 0.08, w),
-            (w, (back - seat) / 2, 0.025),
-            skin,
-            roundness=3,
-        )
+        half = w, (back - seat) / 2, 0.025
+        b.add(SOFT, (0, -(seat + back) / 2 - 0.08, w), half, skin, roundness=3)
 
 
 def _sofa(b: Builder) -> None:
@@ -203,12 +182,8 @@ def _shelf(b: Builder) -> None:
     for y in np.linspace(-height, 0, levels + 1):
         b.add(BOX, (0, y, 0), (w, 0.012, d), skin)
         books = u(0.2, 0.9) * w
-        b.add(
-            BOX,
-            (u(-1, 1) * (w - books), y - 0.14, 0.02),
-            (books, 0.12, 0.7 * d),
-            surface(b.rng, 0.8, tx.BOOKS),
-        )
+        center, half = (u(-1, 1) * (w - books), y - 0.14, 0.02), (books, 0.12, 0.7 * d)
+        b.add(BOX, center, half, surface(b.rng, 0.8, tx.BOOKS))
 
 
 def _plant(b: Builder) -> None:
@@ -216,11 +191,8 @@ def _plant(b: Builder) -> None:
     u, height, leaf = b.rng.uniform, b.rng.uniform(0.3, 1.4), surface(b.rng, 0.3, tx.CLOUDS)
     b.add(CYLINDER, (0, -0.12, 0), (0.13, 0.13, 0.13), surface(b.rng, 0.3))
     for _ in range(b.rng.integers(8, 26)):
-        tip = np.array([0.3 * b.rng.normal(), -u(0.3, 1), 0.3 * b.rng.normal()]) * height - [
-            0,
-            0.25,
-            0,
-        ]
+        tip = np.array([0.3 * b.rng.normal(), -u(0.3, 1), 0.3 * b.rng.normal()]) * height
+        tip[1] -= 0.25
         b.rod((0, -0.25, 0), tip, 0.005, leaf)
         blade = b.at(tip, any_yaw(b.rng), b.rng.normal(0, 0.6, 3))
         blade.add(ELLIPSOID, (0, 0, 0), (u(0.03, 0.08), 0.004, u(0.08, 0.25)), leaf)
@@ -233,15 +205,8 @@ def _person(b: Builder) -> None:
         b.rod((side * 0.1, 0, side * stride), (side * 0.09, -0.5 * height, 0), 0.07, trousers)
         hand = side * u(0.22, 0.4), -u(0.42, 0.8) * height, u(-0.3, 0.1)
         b.rod((side * 0.22, -0.82 * height, 0), hand, 0.045, cloth)
-    b.add(
-        SOFT,
-        (0, -0.67 * height, 0),
-        (0.23, 0.19 * height, 0.14),
-        cloth,
-        roundness=2,
-        bump=0.1,
-        ripple=(3, 3, 3),
-    )
+    soft = {"roundness": 2, "bump": 0.1, "ripple": (3, 3, 3)}
+    b.add(SOFT, (0, -0.67 * height, 0), (0.23, 0.19 * height, 0.14), cloth, **soft)
     b.add(ELLIPSOID, (0, -0.93 * height, 0), (0.085, 0.12, 0.1), surface(b.rng, 0.3))
 
 
@@ -301,15 +266,8 @@ def _bush(b: Builder) -> None:
     u = b.rng.uniform
     half = b.rng.uniform(0.25, 1.1, 3)
     skin = surface(b.rng, 0.4, tx.CLOUDS, mirror=0.0)
-    b.add(
-        SOFT,
-        (0, -0.8 * half[1], 0),
-        half,
-        skin,
-        bump=0.4,
-        ripple=u(3, 12, 3),
-        roundness=b.rng.integers(1, 4),
-    )
+    soft = {"bump": 0.4, "ripple": u(3, 12, 3), "roundness": b.rng.integers(1, 4)}
+    b.add(SOFT, (0, -0.8 * half[1], 0), half, skin, **soft)
 
 
 def car(b: Builder) -> None:
@@ -339,43 +297,13 @@ def _sign(b: Builder) -> None:
     u, height = b.rng.uniform, b.rng.choice([b.rng.uniform(2, 3), b.rng.uniform(0.5, 1.1)])
     b.rod((0, 0, 0), (0, -height, 0), log_uniform(b.rng, 0.02, 0.1), surface(b.rng, 0.5, blank=0.6))
     if height > 1.5:
-        b.add(
-            BOX,
-            (0, -height, 0),
-            (u(0.15, 0.4), u(0.15, 0.4), 0.015),
-            surface(b.rng, 0.4, tx.POSTER),
-        )
+        half = u(0.15, 0.4), u(0.15, 0.4), 0.015
+        b.add(BOX, (0, -height, 0), half, surface(b.rng, 0.4, tx.POSTER))
 
 
-_HOME = (
-    _table,
-    _table,
-    _chair,
-    _chair,
-    _chair,
-    _sofa,
-    _shelf,
-    _shelf,
-    _plant,
-    _person,
-    _floor_lamp,
-    _boxes,
-    railing,
-)
-_ROADSIDE = (
-    _lamp_post,
-    _lamp_post,
-    _sign,
-    _sign,
-    tree,
-    tree,
-    tree,
-    _person,
-    _person,
-    _bush,
-    _boxes,
-    railing,
-)
+_HOME = 2 * [_table] + 3 * [_chair] + [_sofa, _shelf, _shelf, _plant, _person, _floor_lamp]
+_HOME += [_boxes, railing]
+_ROADSIDE = 2 * [_lamp_post] + 2 * [_sign] + 3 * [tree] + 2 * [_person] + [_bush, _boxes, railing]
 
 
 def furniture(b: Builder) -> None:

@@ -59,12 +59,8 @@ def room(rng: Generator) -> Drawn:
         rng, (u(-0.7, 0.7) * (X - 0.4), -u(0.4, min(1.8, H - 0.5)), u(-0.7, 0.7) * (Z - 0.4))
     )
     b.add(BOX, (0, 0.05, 0), (X + 2, 0.05, Z + 2), surface(rng, 3.0, blank=0.15))
-    b.add(
-        BOX,
-        (0, -H - 0.05, 0),
-        (X + 0.1, 0.05, Z + 0.1),
-        surface(rng, 3.0, blank=0.7, dark=u(0.5, 0.95)),
-    )
+    ceiling = surface(rng, 3.0, blank=0.7, dark=u(0.5, 0.95))
+    b.add(BOX, (0, -H - 0.05, 0), (X + 0.1, 0.05, Z + 0.1), ceiling)
     # distance, half length, yaw
     walls = [(X, Z, 0.5 * np.pi), (X, Z, -0.5 * np.pi), (Z, X, 0.0), (Z, X, np.pi)]
     if rng.random() < 0.15:  # a curved wall in place of three, seen from inside
@@ -81,13 +77,8 @@ def room(rng: Generator) -> Drawn:
         b.rod((x, 0, z), (x, -H, z), log_uniform(rng, 0.015, 0.25), surface(rng, 0.8))
     for _ in range(rng.integers(0, 4)):  # lamps and cables under the ceiling
         y, size = u(0.05, 0.5) - H, u(0.05, 0.5, 3) * (1, 0.2, 1)
-        b.add(
-            BOX,
-            (u(-0.9, 0.9) * X, y, u(-0.9, 0.9) * Z),
-            size,
-            surface(rng, 0.5),
-            glow=rng.choice([0, 0.6]),
-        )
+        place = u(-0.9, 0.9) * X, y, u(-0.9, 0.9) * Z
+        b.add(BOX, place, size, surface(rng, 0.5), glow=rng.choice([0, 0.6]))
         b.wire((-X, y, u(-1, 1) * Z), (X, y, u(-1, 1) * Z), u(0, 0.3), u(0.005, 0.02))
     if rng.random() < 0.4:
         _view_from_windows(b, X + Z)
@@ -108,13 +99,8 @@ def _wall(b: Builder, half: float, H: float) -> None:
     if rng.random() < 0.35:
         w, h = u(0.3, min(1.2, half)), u(0.4, 0.38 * H)
         window = {"cutout": tx.OPENING, "cut": (u(-1, 1) * (half - w), u(-0.3, 0.1), w, h)}
-    b.add(
-        BOX,
-        (0, -H / 2, 0.05),
-        (half + 0.1, H / 2 + 0.05, 0.05),
-        surface(rng, 3.0, blank=0.6),
-        **window,
-    )
+    skin = surface(rng, 3.0, blank=0.6)
+    b.add(BOX, (0, -H / 2, 0.05), (half + 0.1, H / 2 + 0.05, 0.05), skin, **window)
     for _ in range(rng.integers(0, 5)):
         x, y, w, h = u(-0.9, 0.9) * half, -u(0.35, 0.8) * H, u(0.1, 0.8), u(0.1, 0.6)
         kind = rng.choice(
@@ -156,12 +142,8 @@ def street(rng: Generator) -> Drawn:
     width = u(3.5, 12)
     side = u(-0.5, 0.5) * width
     b = _around(rng, (side, -u(0.8, 2.6), 0))
-    b.add(
-        BOX,
-        (0, 0.1, 0),
-        (300, 0.1, 300),
-        surface(rng, 1.5, tx.CLOUDS, dark=u(0.1, 0.4), light=u(0.2, 0.5)),
-    )
+    asphalt = surface(rng, 1.5, tx.CLOUDS, dark=u(0.1, 0.4), light=u(0.2, 0.5))
+    b.add(BOX, (0, 0.1, 0), (300, 0.1, 300), asphalt)
     for z in np.arange(-72.0, 72, 6):
         b.add(BOX, (0, 0, z), (0.08, 0.004, 1.5), plain(0.8))
     for yaw in (0, np.pi):

@@ -206,14 +206,8 @@ def draw_rig(rng: Generator, radius: float, size: float = 1.0) -> Rig:
         t[1] += heights[k] + radius * rng.normal(0, 0.12)
         facing = Pose.from_vector([0, azimuth, 0, *t])
         if stacked:
-            facing = Pose.from_vector(
-                [
-                    looks * np.pi / 2,
-                    0,
-                    0,
-                    *(radius * rng.normal(0, 0.05, 3) + [0, radius * (-1) ** k, 0]),
-                ]
-            )
+            off = radius * rng.normal(0, 0.05, 3) + [0, radius * (-1) ** k, 0]
+            facing = Pose.from_vector([looks * np.pi / 2, 0, 0, *off])
         roll = 0.0 if upright else rng.choice([np.pi / 2, np.pi, rng.uniform(0, 2 * np.pi)])
         own = Pose.from_vector([*rng.normal(0, sloppy, 3), 0, 0, 0]) @ Pose.from_vector(
             [0, 0, roll, 0, 0, 0]

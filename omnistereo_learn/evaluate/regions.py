@@ -40,9 +40,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
     fraction = gt_index / (N - 1)  # 0 to 1 over the swept inverse depth
     edges = near_edges(gt_index, N)
     points = np.nan_to_num(gt_index)  # unknown ones count as far away, so that they end no view
-    visible = np.stack(
-        [sweep.project_sphere(camera, points)[1] for camera in range(len(sweep.rig))]
-    )
+    visible = sweep.rig.sees(sweep.grid.rays(), sweep.grid.index_to_inverse_depth(points))
     count = visible.sum(0)
     return {
         "all": np.ones(gt_index.shape, bool),
@@ -110,12 +108,8 @@ def _within(across: NDArray[np.bool_], down: NDArray[np.bool_], pixels: int) -> 
     """
     from scipy.ndimage import maximum_filter
 
-    beside = (
-        across
-        | np.roll(across, 1, 1)
-        | np.pad(down, ((0, 1), (0, 0)))
-        | np.pad(down, ((1, 0), (0, 0)))
-    )
+    below, above = (np.pad(down, (rows, (0, 0))) for rows in ((0, 1), (1, 0)))
+    beside = across | np.roll(across, 1, 1) | below | above
     return maximum_filter(beside.astype(np.uint8), 2 * pixels - 1, mode=("nearest", "wrap")).astype(
         bool
     )
@@ -157,12 +151,8 @@ def error_sums(
     for name, mask in regions.items():
         e = error[evaluated & mask]
         above = {f">{limit}": int(np.count_nonzero(e > limit)) for limit in (1, 3, 5)}
-        sums[name] = {
-            "rays": e.size,
-            **above,
-            "sum": float(e.sum()),
-            "squares": float((e**2).sum()),
-        }
+        of_all = {"sum": float(e.sum()), "squares": float((e**2).sum())}
+        sums[name] = {"rays": e.size, **above, **of_all}
     return sums
 
 

@@ -67,20 +67,11 @@ class Rig:
                 raise OmnistereoError(
                     f"camera {i} is {camera!r:.40}, {pose!r:.40}; expected an OcamCamera and a Pose"
                 )
-            check_number(
-                float(np.abs(pose.t).max()),
-                f"the distance of camera {i} from the origin, metres,",
-                0,
-                1e7,
-            )
+            what = f"the distance of camera {i} from the origin, metres,"
+            check_number(float(np.abs(pose.t).max()), what, 0, 1e7)
         if self.min_depth is not None:
-            check_number(
-                self.min_depth,
-                "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)",
-                1e-6,
-                1e6,
-            )
-
+            what = "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)"
+            check_number(self.min_depth, what, 1e-6, 1e6)
         if len(self.deviations) not in (0, len(self)):
             raise OmnistereoError(
                 f"the rig has {len(self)} cameras and {len(self.deviations)} deviations; expected "

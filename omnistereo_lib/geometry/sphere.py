@@ -72,23 +72,16 @@ class SphereGrid:
                 self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True)
             )
         phi = tuple(np.atleast_1d(self.phi_deg).tolist())  # a list would make the grid unhashable
-        if not (
-            len(phi) == 2
-            and all(isinstance(angle, Real) for angle in phi)
-            and -90 <= phi[0] < phi[1] <= 90
-        ):
+        are_two = len(phi) == 2 and all(isinstance(angle, Real) for angle in phi)
+        if not (are_two and -90 <= phi[0] < phi[1] <= 90):
             raise OmnistereoError(
                 f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down"
                 " > 0)"
             )
         object.__setattr__(self, "phi_deg", phi)
         near, far = self.min_depth, self.max_depth
-        if not (
-            isinstance(near, Real)
-            and isinstance(far, Real)
-            and 0 < near < far
-            and _NEAREST[0] <= near <= _NEAREST[1]
-        ):
+        are_real = isinstance(near, Real) and isinstance(far, Real)
+        if not (are_real and 0 < near < far and _NEAREST[0] <= near <= _NEAREST[1]):
             raise OmnistereoError(
                 f"min_depth is {near} and max_depth {far}; expected metres with 0 < min_depth <"
                 f" max_depth, at most {_NEAREST[1]:g}. Pass the nearest depth, such as"

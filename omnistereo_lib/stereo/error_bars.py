@@ -127,11 +127,10 @@ def distribution_by_torch(
     """
     N = int(volume.shape[-1])
     n, half = torch.arange(N, device=volume.device), int(radius)
-    p = (
-        1 - volume.nan_to_num(1.0)
-        if temperature == 0
-        else (-volume.nan_to_num(torch.inf) / temperature).softmax(-1)
-    )
+    if temperature == 0:
+        p = 1 - volume.nan_to_num(1.0)
+    else:
+        p = (-volume.nan_to_num(torch.inf) / temperature).softmax(-1)
     p = p / p.sum(-1, keepdim=True)
     off = n - index[..., None]
     # A window has soft ends: spheres count fully within the radius, then less over one sphere.
@@ -140,20 +139,12 @@ def distribution_by_torch(
     inside = ((p * share * off.square()).sum(-1) / mass).sqrt()
     # What the window leaves, summed over windows of whole spheres.
     rest = p.where(off.abs() > radius + 1, 0.0)
-    windows = torch.nn.functional.pad(rest, (half, half)).unfold(
-        -1, 2 * half + 1, 1
-    )  # (H, W, N, 2 half + 1)
+    padded = torch.nn.functional.pad(rest, (half, half))
+    windows = padded.unfold(-1, 2 * half + 1, 1)  # (H, W, N, 2 half + 1)
     second, middle = windows.sum(-1).max(-1)
     around = (n - middle[..., None]).abs() <= half
-    return torch.stack(
-        [
-            (p * off.square()).sum(-1).sqrt(),
-            mass,
-            inside,
-            second,
-            (rest * around * n).sum(-1) / second,
-        ]
-    )
+    spread, place = (p * off.square()).sum(-1).sqrt(), (rest * around * n).sum(-1) / second
+    return torch.stack([spread, mass, inside, second, place])
 
 
 def properties(

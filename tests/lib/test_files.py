@@ -135,7 +135,7 @@ def test_a_largest_value_other_than_255_is_white(tmp_path):
 @pytest.mark.parametrize(
     ("values", "photometric", "said"),
     [
-        (RGB, "cielab", "CIELAB colours"),
+        (RGB, "cielab", "LAB colours"),
         (np.zeros((20, 30, 4), np.uint8), "separated", "CMYK colours"),
         (np.zeros((20, 30), np.float32), "minisblack", "floating-point numbers"),
     ],
