@@ -39,6 +39,7 @@ class WorldOptions(Options):
     range: float = option(
         "distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0)
     )
+    rrd: bool = option("write world.rrd, too, which Rerun plays", False)
 
 
 def run(options: WorldOptions) -> None:
@@ -52,11 +53,15 @@ def run(options: WorldOptions) -> None:
     from omnistereo_tools.world.build import RecordedFrames
 
     import_trimesh()
+    if options.rrd:
+        from omnistereo_tools.world.rerun_export import import_rerun
+
+        import_rerun()
     out = options.recording / "world"
     check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
     frames = RecordedFrames.open(options.recording)
     refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
-    asked = {name: getattr(options, name) for name in ("voxel", "range")}
+    asked = {name: getattr(options, name) for name in ("voxel", "range", "rrd")}
     asked["provenance"] = frames.provenance
     if _is_done(out, asked):
         print(f"Done already: the world is in {out}/; delete world.json there to fuse it again.")
@@ -154,6 +159,10 @@ def _write(
             f"no surface is left of {options.recording}. Pass a smaller --voxel or a larger --range"
         )
     write_surface(out, surface)
+    if options.rrd:
+        from omnistereo_tools.world.rerun_export import write_rrd
+
+        write_rrd(out / "world.rrd", frames, poses, refined, surface)
     number = list(poses)[len(poses) // 2]
     before, after = (
         frames.data.frame(number).inverse_depth,

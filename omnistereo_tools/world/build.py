@@ -7,6 +7,7 @@ RECORDING/world/
   trajectory_seconds.txt              the same with times for numbers, where the recording states
                                       them
   mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
+  world.rrd                           with --rrd: images, points, path and surface for Rerun
   omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the
                                       images: a data set
   index.html                          the surface seen from the path, a plan, and one frame before

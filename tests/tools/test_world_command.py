@@ -1,8 +1,11 @@
 """`omnistereo world`: what it writes, that it resumes, and what it refuses."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +17,7 @@ from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_lib.pictures import write_image
 from omnistereo_tools import cli
 from omnistereo_tools.world.build import RecordedFrames
+from workshop.peers import __main__ as peers
 
 GRID = osl.SphereGrid(160, 40, num_spheres=32, min_depth=0.6)
 PLACES = [[0, 0, 0.15 * n] for n in range(3)]
@@ -81,6 +85,42 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.iterdir()} == before
     assert cli.main(["world", str(recording), "--voxel", "0.2"]) == 0
     assert (out / "steps.json").stat().st_mtime_ns == before[out / "steps.json"]
+
+
+READ = """
+import json, sys
+from rerun.chunk import RrdReader
+found = {}
+for chunk in RrdReader(sys.argv[1]).stream():
+    batch = chunk.to_record_batch()
+    for name, column in zip(batch.schema.names, batch.columns):
+        if name.split(":")[-1] in ("frame", "time", "translation", "positions", "media_type"):
+            values = (column.cast("int64") if name == "time" else column).to_pylist()
+            found.setdefault(f"{chunk.entity_path} {name}", []).extend(values)
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.nightly
+def test_rerun_reads_a_world(recording, tmp_path):
+    """Points lie on the walls of the box where Rerun puts the rig, at the times of the frames."""
+    python, site = peers.install("rerun")
+    env, drive = os.environ | {"PYTHONPATH": str(site)}, shutil.copytree(recording, tmp_path / "a")
+    make = [sys.executable, "-m", "omnistereo_tools", "world", drive, *COMMAND, "--rrd"]
+    subprocess.run(make, env=env, check=True)
+    read = [python, "-c", READ, drive / "world/world.rrd"]
+    done = subprocess.run(read, env=env, check=True, capture_output=True, text=True)
+    found = json.loads(done.stdout)
+    order = np.argsort(found["/world/rig frame"])
+    assert np.take(found["/world/rig frame"], order).tolist() == [1, 2, 3]
+    assert np.take(found["/world/rig time"], order).tolist() == [10**8, 2 * 10**8, 3 * 10**8]
+    places = np.squeeze(found["/world/rig Transform3D:translation"])[order]
+    np.testing.assert_allclose(places, PLACES, atol=0.01)
+    first = int(np.argmin(found["/world/rig/points frame"]))
+    walls = np.array(found["/world/rig/points Points3D:positions"][first]) - scene.CENTER
+    assert np.median(np.abs(np.abs(walls / scene.HALF_SIZE).max(axis=1) - 1)) < 0.02
+    for k in range(1, 5):
+        assert found[f"/world/rig/cam{k}/image EncodedImage:media_type"] == [["image/jpeg"]] * 3
 
 
 @pytest.mark.parametrize("size", [(900, 600), (390, 600)], ids=str)

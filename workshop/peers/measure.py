@@ -6,9 +6,7 @@ field over which both agree. FILES is a folder of what we write, with what it mu
 """
 
 import json
-import os
 import shutil
-import site
 import sys
 import tempfile
 from pathlib import Path
@@ -679,7 +677,6 @@ def of_nerfstudio(folder, truth):
 
 
 if __name__ == "__main__":
-    site.addsitedir(os.environ["PYTHONPATH"])  # reads its .pth files, of which rerun has one
     given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
     numbers = None if given is None else dict(np.load(given / "truth.npz"))
     globals()[f"of_{sys.argv[1]}"](given, numbers)
