@@ -180,10 +180,8 @@ def towards(*points):
 
 
 def test_light_follows_lamberts_law_and_a_body_throws_a_shadow():
-    floor, ball = (
-        primitive(BOX, (0, 1.1, 3), (9, 0.1, 9), np.eye(3)),
-        primitive(ELLIPSOID, (0, 0, 3), (0.3, 0.3, 0.3)),
-    )
+    floor = primitive(BOX, (0, 1.1, 3), (9, 0.1, 9), np.eye(3))
+    ball = primitive(ELLIPSOID, (0, 0, 3), (0.3, 0.3, 0.3))
     lit, shaded = gray(
         scene(floor, ball, to_sun=(0, -1, 0), sun=0.8, ambient=0.5), towards((1, 1, 3), (0.1, 1, 3))
     )

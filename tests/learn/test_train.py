@@ -242,10 +242,8 @@ def test_other_data_under_the_same_name_are_another_run(data, tmp_path):
 def test_a_run_may_begin_with_trained_weights(data, finished, tmp_path):
     recipe = replace(SWEEPNET, batch_norm=False, steps=2, warmup=0)
     start = finished[0] / WEIGHTS  # of a network with norms, which are folded into them
-    samples, rng = (
-        SphereSamples(recipe, data),
-        [np.random.default_rng([recipe.seed, 0, k]) for k in range(2)],
-    )
+    samples = SphereSamples(recipe, data)
+    rng = [np.random.default_rng([recipe.seed, 0, k]) for k in range(2)]
     objective = SphereObjective(osl.SweepNet.from_file(start))
     expected = [
         objective(samples.micro_batch(samples.training_frame(k), rng[k], augment=True))[0].item()

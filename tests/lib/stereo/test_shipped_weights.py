@@ -144,10 +144,8 @@ def test_fast_inference_is_the_plain_networks(frame):
 )
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_changes_no_figure(name, frame):
-    rig, grid = (
-        osl.load_dataset(SUNNY, split="test").rig,
-        osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65),
-    )
+    rig = osl.load_dataset(SUNNY, split="test").rig
+    grid = osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65)
     sweep, network = osl.SphereSweep(rig, grid), NETWORKS[name].pretrained()
     exact, half = (
         osl.cost_volume(sweep, frame.images, LearnedCost(network, precision))

@@ -101,10 +101,8 @@ def test_a_gpu_computes_the_same_tables(world, n):
     """In torch, here on the CPU: where NumPy has the pixels."""
     sweep = osl.SphereSweep(world[0], GRID)
     for camera in range(len(sweep.rig)):
-        (uv, valid), (found, found_valid) = (
-            sweep.project_sphere(camera, n),
-            sweep._project_by_torch(camera, n),
-        )
+        (uv, valid) = sweep.project_sphere(camera, n)
+        (found, found_valid) = sweep._project_by_torch(camera, n)
         assert (found_valid.numpy() == valid).all() and valid.any() and not valid.all()
         assert np.abs(found.numpy() - uv)[valid].max() < 1e-9
 
