@@ -1,20 +1,14 @@
 """Boards in images: in one, and in all those of a camera."""
 
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import combinations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_rigs.boards.board import Board, Gray, as_gray
-
-# Two views are the same image if their gray levels differ by less than this on average.
-_SAME = 2.0
 
 
 def find_corners(image: ArrayLike, board: Board) -> Floats | None:
@@ -39,7 +33,7 @@ def detect_views(
     """Find the board in each image of one camera, on all cores; None where there is no image or no
     board.
 
-    Messages call views by `names`, or else by index. Warns of images that are given twice.
+    Messages call views by `names`, or else by index.
 
     Raises:
         OmnistereoError: If an array is not an image, the images differ in size, or none shows the
@@ -74,25 +68,4 @@ def detect_views(
         raise OmnistereoError(
             f"no board {board} found in {len(grays)} images. {board.advice(list(grays.values()))}"
         )
-    for j, k in _duplicates(grays, found):
-        warnings.warn(
-            f"views {names[j]} and {names[k]} are the same image: it counts twice", stacklevel=2
-        )
     return [found.get(k) for k in range(len(images))]
-
-
-def _duplicates(
-    grays: dict[int, Gray], found: dict[int, Floats | None]
-) -> Iterator[tuple[int, int]]:
-    boards = {k: corners for k, corners in found.items() if corners is not None}
-    for a, b in combinations(boards, 2):
-        # Corners within half a pixel of each other are cheap to compare; only then are the images
-        # compared.
-        apart = np.abs(boards[a] - boards[b])
-        both = np.isfinite(apart)
-        if (
-            both.any()
-            and apart[both].max() < 0.5
-            and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME
-        ):
-            yield a, b

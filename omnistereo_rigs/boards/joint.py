@@ -30,14 +30,13 @@ from omnistereo_rigs.boards.solution import Solution
 # Radians between the directions of a corner in two cameras: rough poses are nearer than that, gross
 # errors are not.
 _AGREE = 0.05
-# A capture is rejected if it fits the rig so many times worse than its views fit each camera alone.
+# A capture is rejected if it fits the rig so many times worse than its views fit each camera alone;
+# where all do, the cameras do not move as one.
 _BAD_CAPTURE = 2.0
 # A camera that shares fewer captures with any other one is named in a warning.
 _FEW_SHARED = 5
 # So many of the rejected views are named in a message.
 _SHOWN = 2
-# As `_BAD_CAPTURE`, but over all shared captures: beyond it the cameras do not move as one.
-_MOVED = 1.5
 # A camera whose median error is so many times that of the others is named in a warning.
 _UNLIKE = 5.0
 
@@ -481,7 +480,7 @@ def _rig_warnings(report: RigReport) -> Iterator[str]:
                 float(np.median(np.concatenate([r.distances(k) for k in common])))
                 for r in (camera, single)
             )
-            if joint > _MOVED * usual:
+            if joint > _BAD_CAPTURE * usual:
                 yield (
                     f"camera {i + 1} has a reprojection error of {joint:.2f} px in shared captures,"
                     f" {usual:.2f} px by itself. Check that the images of a capture were taken at"

@@ -18,7 +18,7 @@ _RING_DEG = 10
 # Limits for warnings.
 _MARGIN_DEG = 10.0  # field of view beyond the last corner
 _FEW_CORNERS = 10  # in a ring
-_FEW_VIEWS = 10
+FEW_VIEWS = 10
 _OFF_CENTER = 0.1  # of the image side
 _NOT_SQUARE = 0.02
 _LARGE_PX = 1.0
@@ -208,7 +208,7 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
             f"hardly any corners constrain the polynomial {low:.0f}° to {high:.0f}° from the axis."
             " Cover every ring"
         )
-    if len(report.views_used) < _FEW_VIEWS:
+    if len(report.views_used) < FEW_VIEWS:
         by_accident = len(report.rejected) > 2 * len(report.views_used)
         check = (
             ". Check the board size: another one is found here and there by accident"

@@ -19,7 +19,7 @@ from omnistereo_rigs.boards.checkerboard import Checkerboard, edge_width, sugges
 from omnistereo_rigs.boards.detect import detect_views
 from omnistereo_rigs.boards.init import estimate_poses, initial_estimate
 from omnistereo_rigs.boards.params import CalibrationParams, collect_observations
-from omnistereo_rigs.boards.report import CameraReport
+from omnistereo_rigs.boards.report import FEW_VIEWS, CameraReport
 from omnistereo_rigs.boards.solution import OUTLIER, Solution
 
 # The degrees that cross-validation tries. Odd ones add little, and beyond 8 nothing was ever gained
@@ -33,8 +33,6 @@ _FOLDS = 3
 _MIN_VIEWS = 3
 # Four corners determine the pose of a plane; with two more a view says whether the pose fits.
 _FEWEST_CORNERS = 6
-# If fewer views show the board, and less than half of them, another size of board is tried.
-_FEW_VIEWS = 10
 # A view is rejected if its error is so many times that of the median view.
 _BAD_VIEW = 3.0
 _MISDETECTED = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
@@ -248,11 +246,7 @@ def _check_input(
 ) -> None:
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.
-    if (
-        images is not None
-        and isinstance(board, Checkerboard)
-        and found < min(_FEW_VIEWS, taken / 2)
-    ):
+    if images is not None and isinstance(board, Checkerboard) and found < min(FEW_VIEWS, taken / 2):
         suggestion = suggest_board(
             [view for view in images if view is not None], board, only_larger=True
         )

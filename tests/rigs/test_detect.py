@@ -265,12 +265,6 @@ def test_what_is_no_image(image, said):
 # --- Many views
 
 
-def test_the_same_picture_twice(picture):
-    views = [None, picture, None, picture]
-    with pytest.warns(UserWarning, match="views b.png and d.png are the same image"):
-        detect_views(views, BOARD, names=["a.png", "b.png", "c.png", "d.png"])
-
-
 def test_a_view_that_is_no_image_is_named(picture):
     with pytest.raises(OmnistereoError, match="view 2: the image has values that are not finite"):
         detect_views([picture, None, np.full((768, 800), np.nan)], BOARD)
