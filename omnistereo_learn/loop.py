@@ -23,6 +23,15 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from omnistereo_learn.provenance import (
+    PROVENANCE,
+    differences,
+    kept_precision,
+    notes,
+    provenance,
+    read_facts,
+    write_facts,
+)
 from omnistereo_learn.recipes import Recipe
 from omnistereo_learn.samples.frames import Folders, folders_of
 from omnistereo_learn.samples.patches import PatchSamples
@@ -36,15 +45,6 @@ from omnistereo_lib.files import (
     make_folder,
     read_bytes,
     read_text,
-)
-from omnistereo_lib.provenance import (
-    PROVENANCE,
-    differences,
-    kept_precision,
-    notes,
-    provenance,
-    read_facts,
-    write_facts,
 )
 from omnistereo_lib.stereo.device import number_from_environment, select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, choose_precision

@@ -30,7 +30,7 @@ errors lazy progress
 files
 pictures
 geometry
-parse provenance reference
+parse reference
 consumer_images ocam_text
 rig_file
 frame

@@ -25,13 +25,7 @@ from omnistereo_learn.evaluate.records import (
     write_record,
 )
 from omnistereo_learn.evaluate.regions import error_sums, find_regions
-from omnistereo_lib.dataset import Dataset, load_dataset
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import checksum, make_folder, read_bytes, unpack
-from omnistereo_lib.frame import Frame
-from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.provenance import (
+from omnistereo_learn.provenance import (
     PROVENANCE,
     differences,
     kept_precision,
@@ -40,6 +34,12 @@ from omnistereo_lib.provenance import (
     read_facts,
     write_facts,
 )
+from omnistereo_lib.dataset import Dataset, load_dataset
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import checksum, make_folder, read_bytes, unpack
+from omnistereo_lib.frame import Frame
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.cost import Cost
 from omnistereo_lib.stereo.device import select_device
 from omnistereo_lib.stereo.learned import Precision, choose_precision

@@ -105,10 +105,10 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     """
     import numpy as np
 
+    from omnistereo_learn.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
     from omnistereo_lib.files import write_text
     from omnistereo_lib.geometry.rig import Deviation
     from omnistereo_lib.ocam_text import write_ocam_txt
-    from omnistereo_lib.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
     from omnistereo_rigs.boards.captures import save_corners
     from omnistereo_rigs.boards.joint import calibrate_rig
     from omnistereo_rigs.boards.single_camera import calibrate_camera

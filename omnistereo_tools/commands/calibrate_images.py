@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from omnistereo_learn.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
 from omnistereo_lib.frame import Frame, load_images
@@ -17,7 +18,6 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
-from omnistereo_lib.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
 from omnistereo_rigs.doctor.rig_check import find_mixup
 from omnistereo_rigs.formats.read import load_cameras, read_any_rig
 from omnistereo_rigs.formats.write import write_rig

@@ -94,8 +94,8 @@ def run(options: RecordOptions) -> int:
     from omnistereo_tools.progress import progress_bar, say
 
     say("reading the rig and the first frames: a few seconds")
+    from omnistereo_learn.provenance import kept_precision, read_facts
     from omnistereo_lib.frame import Frame
-    from omnistereo_lib.provenance import kept_precision, read_facts
     from omnistereo_lib.stereo.methods import FRAME_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.input.masks import FRAMES

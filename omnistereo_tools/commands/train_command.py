@@ -40,7 +40,7 @@ def run(options: TrainOptions) -> None:
     """
     from omnistereo_learn import RECIPES, train
     from omnistereo_learn.loop import LOG, STATE, WEIGHTS
-    from omnistereo_lib.provenance import PROVENANCE
+    from omnistereo_learn.provenance import PROVENANCE
     from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_tools.progress import progress_bar, say
 

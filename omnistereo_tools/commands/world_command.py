@@ -92,8 +92,8 @@ def _results(out: Path) -> list[Path]:
 
 def _is_done(out: Path, asked: dict[str, Any]) -> bool:
     """Return whether every output is there, whole, and of these inputs; say what is not."""
+    from omnistereo_learn.provenance import differences, read_facts
     from omnistereo_lib.files import checksum, read_bytes
-    from omnistereo_lib.provenance import differences, read_facts
     from omnistereo_tools.progress import say
 
     stored = read_facts(out / "world.json")

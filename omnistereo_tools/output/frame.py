@@ -13,13 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import checksum, make_folder, read_bytes, write_text
-from omnistereo_lib.frame import write_inverse_depth
-from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.lazy import lazy_property
-from omnistereo_lib.pictures import write_image
-from omnistereo_lib.progress import Progress, counted, silent
-from omnistereo_lib.provenance import (
+from omnistereo_learn.provenance import (
     PROVENANCE,
     arrays_checksum,
     differences,
@@ -28,6 +22,12 @@ from omnistereo_lib.provenance import (
     read_facts,
     write_facts,
 )
+from omnistereo_lib.files import checksum, make_folder, read_bytes, write_text
+from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.pictures import write_image
+from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.learned import choose_precision

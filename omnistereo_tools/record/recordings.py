@@ -36,6 +36,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from omnistereo_learn.provenance import differences, made_of, notes, provenance, read_facts
 from omnistereo_lib.dataset import read_poses, write_poses
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import (
@@ -50,7 +51,6 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.parse import Section
 from omnistereo_lib.pictures import read_image, write_image
-from omnistereo_lib.provenance import differences, made_of, notes, provenance, read_facts
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.learned import Precision, choose_precision

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_learn.provenance import read_facts
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import to_gray
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.provenance import read_facts
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
 from omnistereo_tools.input.sources import Film, Recording

@@ -30,6 +30,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_learn.provenance import (
+    arrays_checksum,
+    made_of,
+    provenance,
+    read_facts,
+    rig_checksum,
+)
 from omnistereo_lib.dataset import Dataset, load_dataset, read_poses, write_poses
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import checksum, make_folder, read_data, write_text
@@ -38,13 +45,6 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.parse import Section
 from omnistereo_lib.pictures import check_image
-from omnistereo_lib.provenance import (
-    arrays_checksum,
-    made_of,
-    provenance,
-    read_facts,
-    rig_checksum,
-)
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
