@@ -124,21 +124,17 @@ def read_rig(
     if (own := _own(path, unit, max_fov_deg)) is not None:
         rig = _finished(own, path, unit, keep_frame)
         return RigReading(rig, own.name, own.in_metres, (), ())
-    file, row, found = _read(path)
+    file, name, scale, found = _read(path)
     with error_context(file):
         fitted = _fitted(found, max_fov_deg)
-        scale = METRES.get(row.unit, 1.0)
-        poses = [Pose(pose.R, scale * pose.t) for pose in found.T_rig_cam]
-        is_metric = row.unit in METRES
-        cameras = [camera for camera, _ in fitted]
-    rig = _finished(
-        RigFile(cameras, poses, name=row.name, in_metres=is_metric), file, unit, keep_frame
-    )
+        poses = [Pose(pose.R, (scale or 1.0) * pose.t) for pose in found.T_rig_cam]
+        cameras, residuals = ([*each] for each in zip(*fitted, strict=True))
+        read = RigFile(cameras, poses, name=name, in_metres=scale is not None)
+    rig = _finished(read, file, unit, keep_frame)
     offsets = found.clock_offsets_s
     _warn_of_clocks(offsets, file)
-    residuals = [px for _, px in fitted]
     stated = None if offsets is None else tuple(map(float, offsets))
-    return RigReading(rig, row.name, is_metric, found.lenses, residuals, stated)
+    return RigReading(rig, name, read.in_metres, found.lenses, residuals, stated)
 
 
 def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
@@ -172,7 +168,7 @@ def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[Oca
         return [read_any_camera(file, max_fov_deg) for file in files]
     if (own := _own(path, None, max_fov_deg)) is not None:
         return [*own.cameras]
-    file, _, found = _read(path)
+    file, _, _, found = _read(path)
     with error_context(file):
         return [camera for camera, _ in _fitted(found, max_fov_deg)]
 
@@ -248,8 +244,10 @@ def _warn_of_clocks(offsets: Sequence[float] | None, path: Path) -> None:
         )
 
 
-def _read(path: Path) -> tuple[Path, Dialect, Found]:
-    """Return the file or folder that is read, the row of its format, and what it holds."""
+def _read(path: Path) -> tuple[Path, str, float | None, Found]:
+    """Return the file or folder that is read, the name of its format, the metres of its unit, None
+    where that is not stated, and what it holds.
+    """
     is_folder = path.is_dir()
     if is_folder and (path / "mav0").is_dir():
         path = path / "mav0"
@@ -257,21 +255,20 @@ def _read(path: Path) -> tuple[Path, Dialect, Found]:
     # A rig_config.json beside a model states the rig itself.
     is_model = is_folder and all((path / name).exists() for name in _COLMAP)
     if path.name in _COLMAP or (is_model and "rig_config.json" not in names):
-        folder, row = path if is_folder else path.parent, _ROWS["COLMAP model"]
-        return folder, row, _interpreted(row, {}, folder)
+        folder = path if is_folder else path.parent
+        return folder, *_interpreted(_ROWS["COLMAP model"], {}, folder)
     if is_folder and (files := sorted(path.glob("cam*/sensor.yaml"))):  # EuRoC's
         check_count(len(files))
         data = {file.parent.name: read_data(file, MAX_BYTES) for file in files}
-        return path, _ROWS["Kalibr camchain"], _interpreted(_ROWS["Kalibr camchain"], data, path)
+        return path, *_interpreted(_ROWS["Kalibr camchain"], data, path)
     if is_folder and not names and (files := numbered_files(path, "cam[0-9]*.*")):
         poses, lenses = poses_beside(path, files), list[Lens]()
         for file in files:
-            found = _read_file(file)[1].lenses
+            found = _read_file(file)[-1].lenses
             if len(found) != 1:
                 raise OmnistereoError(f"{file}: {len(found)} cameras; expected one in each file")
             lenses += found
-        folder_row = Dialect("folder of camera files", "", bool, lambda data, path: [], {})
-        return path, folder_row, Found(lenses, poses)
+        return path, "folder of camera files", None, Found(lenses, poses)
     if len(names) > 1:
         pass_one = f"{names[0]} is read. Pass the file that is meant"
         warnings.warn(f"{path}: found {' and '.join(names)}; {pass_one}", stacklevel=3)
@@ -294,17 +291,19 @@ def _no_rig(folder: Path) -> OmnistereoError:
     )
 
 
-def _interpreted(row: Dialect, content: dict[str, Any], path: Path) -> Found:
+def _interpreted(
+    row: Dialect, content: dict[str, Any], path: Path
+) -> tuple[str, float | None, Found]:
     with error_context(path):
         section = Section(content)
         found = interpret(row, section, path)
         if settings := section.warn(path, row.settings):
             _log.info("%s: keys of the program, not of cameras: %s", path, ", ".join(settings))
-    return found
+    return row.name, METRES.get(row.unit), found
 
 
-def _read_file(path: Path) -> tuple[Dialect, Found]:
-    """Return the row of the format of a file, and what the file holds."""
+def _read_file(path: Path) -> tuple[str, float | None, Found]:
+    """Return the name of the format of a file, the metres of its unit, and what it holds."""
     with error_context(path):
         if path.suffix == ".txt":
             raise OmnistereoError(
@@ -316,7 +315,7 @@ def _read_file(path: Path) -> tuple[Dialect, Found]:
     for content in layers:
         for row in DIALECTS:
             if row.recognises(content):
-                return row, _interpreted(row, content, path)
+                return _interpreted(row, content, path)
     # The keys of the file, of the items of its list, or of what is in it.
     listed = data if isinstance(data, list) else [*(layers[0].values() if layers else ())]
     keys = sorted(map(str, layers[0] if layers and not isinstance(data, list) else ()))[:8]
