@@ -1,4 +1,4 @@
-"""Notebook 06b: the receptive field, the window that holds most of the influence, and the prior."""
+"""Notebook 06b: the receptive field, the window with most of the influence, covers, the prior."""
 
 import numpy as np
 import torch
@@ -68,6 +68,47 @@ check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with
     np.maximum(np.abs(rows), np.abs(columns)) → np.abs(rows) + np.abs(columns)
     # that is a square on its tip: max(|row|, |column|), no sum
     share * held[-1] → share  # a share of the map's sum, which need not be 1
+""")
+
+
+def ask_covered(ask, images, places, cameras, half):
+    """Answers (P, …) of ask(images), for each of the places (P, 2), row and column, with a square of
+    2 half + 1 pixels a side around it gray, 0, in some of the cameras.
+
+    images: (cameras, B, H, W); columns go around, NaN stays NaN."""
+    H, W = images.shape[-2:]
+    answers = []
+    for row, column in places:
+        rows = np.arange(max(row - half, 0), min(row + half + 1, H))
+        columns = np.arange(column - half, column + half + 1) % W
+        covered = images.clone()
+        for camera in cameras:
+            covered[camera][:, rows[:, None], columns] *= 0
+        answers.append(ask(covered))
+    return torch.stack(answers)
+
+
+def _as_they_are(images: torch.Tensor) -> torch.Tensor:
+    return images.nan_to_num(nan=-9)
+
+
+def _some_places(rng: Rng, k: int) -> tuple:
+    images = torch.from_numpy(rng.uniform(0.5, 1, (4, 2, 7, 12 + k % 3)))
+    images[1, :, :, 3:5] = torch.nan
+    places = np.stack([rng.integers(0, 7, 4), rng.integers(0, 12, 4)], axis=1)
+    # at the seam, and on the first and the last row
+    places[:3] = (3, 0), (0, 11), (6, 4)
+    return _as_they_are, images, places, ([1], [0, 1], [2], [])[k % 4], 1 + k % 2
+
+
+check_ask_covered = Open(ask_covered, _some_places, whole=("images", "places")).with_slips("""
+    images.clone() → images  # each place needs images of its own, without the squares before
+    column + half + 1) % W → column + half + 1).clip(0, W - 1)
+    # the panorama goes around: columns modulo its width
+    *= 0 → = 0  # what a camera does not see stays NaN: multiply by 0
+    max(row - half, 0) → row - half  # rows do not go around: a negative one counts from the end
+    for camera in cameras: → for camera in range(len(images)):
+    # only in the cameras that are asked for
 """)
 
 
