@@ -3,7 +3,6 @@ of four coefficients; and a rig for images of another size.
 """
 
 import json
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -48,18 +47,6 @@ def convert(rig: Rig, program: str, path: Path) -> list[str]:
         f"its camera model follows the lenses to {max(residuals):.2f} px at worst",
         *beyond_sentences(rig, program == "colmap"),
     ]
-
-
-def write_rig(rig: Rig, out: Path) -> list[str]:
-    """Write a rig into a folder for all programs, and say how well their files hold it; return
-    their names.
-    """
-    save_rig(rig, out / "config.yaml")
-    write_ocam_folder(rig, out)
-    residual = max(export_rig(rig, out))
-    said = f"{', '.join(_FILES)}: their camera model follows ours to {residual:.2f} px at worst"
-    print(said, *beyond_sentences(rig), sep="\n", file=sys.stderr)
-    return ["config.yaml", "ocam*.txt", "poses.txt", *_FILES]
 
 
 def export_rig(rig: Rig, folder: str | Path) -> list[float]:

@@ -109,11 +109,11 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     from omnistereo_lib.files import write_text
     from omnistereo_lib.geometry.rig import Deviation
     from omnistereo_lib.ocam_text import write_ocam_txt
+    from omnistereo_lib.rig_file import save_rig
     from omnistereo_rigs.boards.captures import save_corners
     from omnistereo_rigs.boards.joint import calibrate_rig
     from omnistereo_rigs.boards.single_camera import calibrate_camera
     from omnistereo_rigs.formats.read import load_cameras
-    from omnistereo_rigs.formats.write import write_rig
     from omnistereo_tools.output.calibration_figures import calibration_figure
     from omnistereo_tools.outputs import save_figure
     from omnistereo_tools.progress import progress_bar
@@ -147,7 +147,8 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         turn, shift = np.max(poses, axis=0)
         known = f"poses are known to {turn:.1g}° and {1000 * shift:.1g} mm"
         warned = (*joint.warnings, *(w for one in reports for w in one.warnings))
-        written = write_rig(rig, out)
+        save_rig(rig, out / "config.yaml")
+        written = ["config.yaml"]
     # Write what was found, and say it.
     write_text(out / "report.txt", text + "\n")
     with_corners = not (detected and out.samefile(folder))
@@ -205,7 +206,7 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
         raise OmnistereoError(
             f"--out {out} would be read as images of {folder} the next time. Choose another."
         )
-    names = ("*.yaml", "*.json", "*.txt", "report_*.png", "colmap/*")
+    names = ("*.yaml", "*.json", "*.txt", "report_*.png")
     files = {path for name in names for path in out.glob(name) if path.stem[:8] != "corners_"}
     check_outputs(options, files, unread=("folder",) if own else ())
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from omnistereo_learn.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
@@ -18,9 +17,9 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
+from omnistereo_lib.rig_file import save_rig
 from omnistereo_rigs.doctor.rig_check import find_mixup
 from omnistereo_rigs.formats.read import load_cameras, read_any_rig
-from omnistereo_rigs.formats.write import write_rig
 from omnistereo_rigs.images import varied
 from omnistereo_rigs.images.from_images import (
     Given,
@@ -37,7 +36,7 @@ from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.input.sources import Pictures, Recording, of_recordings
 from omnistereo_tools.judge.first_look import lowest_costs
-from omnistereo_tools.outputs import check_outputs, hold, save_figure
+from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import Options, as_typed
 from omnistereo_tools.progress import progress_bar, say
 
@@ -54,17 +53,7 @@ _FALLS = 2.0  # standard errors by which the held-out cost of each frame must fa
 def run(options: CalibrateOptions) -> int:
     """Measure a rig from images, write it and its report; return 1 if the given rig stays."""
     out, recorded = options.out, options.from_images or ()
-    names = (
-        "config.yaml",
-        "report.txt",
-        "report_points.png",
-        "poses.txt",
-        "kalibr.yaml",
-        "opencv.yaml",
-        "transforms.json",
-        "colmap/rig_config.json",
-        PROVENANCE,
-    )
+    names = ("config.yaml", "report.txt", PROVENANCE)
     check_outputs(options, [out / name for name in names])
     images, rig, given = _read(options, recorded)
     say(f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s")
@@ -79,18 +68,15 @@ def run(options: CalibrateOptions) -> int:
     if why_not:
         return _stays(options, recorded, why_not, report)
     hold(out)
-    written = write_rig(measured.rig, out)
+    save_rig(measured.rig, out / "config.yaml")
     write_text(out / "report.txt", "\n".join(report) + "\n")
-    save_figure(out / "report_points.png", _figure(measured), dpi=80)
     seen = arrays_checksum(image for frame in images for image in frame)
     write_facts(out / PROVENANCE, {"provenance": provenance(rig, seen, f"images, {given}")})
     turn_sd, shift_sd = measured.deviations.max(axis=0)
     print(f"Good: the poses are known to {turn_sd:.2g}° and {1000 * shift_sd:.2g} mm.")
     if given == "calibration" and measured.unknown_centres():
         print("The images do not show where the centres are: they stay as given, all is far away.")
-    print(
-        f"written to {out}/: {', '.join([*written, 'report.txt', 'report_points.png', PROVENANCE])}"
-    )
+    print(f"written to {out}/: {', '.join(names)}")
     print(_next(options, recorded, out / "config.yaml"))
     return 0
 
@@ -243,24 +229,3 @@ def _report(measured: MeasuredRig, frames: int, given: Given) -> list[str]:
         lines.append(f"  camera {k}: {known}{change}")
     lines.append("  the size of the rig is the one given: images do not tell a metre")
     return lines
-
-
-def _figure(measured: MeasuredRig) -> Figure:
-    """Return a figure of where the points are, and how far."""
-    u, depth = measured.points[:, :3], 1 / np.maximum(measured.points[:, 3], 1e-3)
-    figure = Figure(figsize=(11, 5), layout="constrained")
-    axes = figure.subplots()
-    azimuth, elevation = (
-        np.degrees(np.arctan2(u[:, 0], u[:, 2])),
-        np.degrees(np.arcsin(u[:, 1].clip(-1, 1))),
-    )
-    drawn = axes.scatter(azimuth, elevation, c=np.log10(depth), s=6, cmap="viridis_r")
-    figure.colorbar(drawn, ax=axes, label="distance, log10 of metres")
-    axes.set(
-        xlim=(-180, 180),
-        ylim=(90, -90),
-        xlabel="azimuth in degrees",
-        ylabel="elevation in degrees, down > 0",
-    )
-    axes.set_title(f"{len(u)} points that cameras share: where there are none, nothing is known")
-    return figure

@@ -61,7 +61,7 @@ def _say(step: str, run: Callable[[], int]) -> int:
     with redirect_stdout(StringIO()) as said:
         status = run()
     verdict, *more = said.getvalue().splitlines()
-    print(f"{step}: {verdict}", *(more if status else []), sep="\n", flush=True)
+    print(f"{step}: {' '.join(verdict.split())}", *(more if status else []), sep="\n", flush=True)
     return status
 
 

@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from omnistereo_lib import reference
 from omnistereo_lib.frame import Frame
-from omnistereo_lib.geometry.rig import Pair, Rig, camera_pairs
+from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.methods import VIDEO_METHOD
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -32,7 +29,6 @@ _FAR_APART = 100.0  # m
 _MATCHES = 0.1
 _OUTSIDE = 1.5  # times the nearest depth; rigs of the public sets and of the course stay below 0.5
 _WINDOW = 9  # px
-_FEW_CELLS = 200_000  # are soon compared, and the fast ZNCC would first be compiled, for seconds
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _QUANTILE = 0.002  # of the confident rays: fewer are mismatches
 # for what comes nearer in the next frame, and for small things that a coarse sweep misses
@@ -81,20 +77,6 @@ def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
     return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
 
 
-class _PlainZNCC(BlockCost):
-    """ZNCC by its definition."""
-
-    def __call__(
-        self,
-        spherical_images: Tensor,
-        pairs: Sequence[Pair],
-        columns: Sequence[tuple[int, int]] | None = None,
-    ) -> Tensor:
-        images = spherical_images.double()
-        costs = torch.stack([reference.zncc(images[i], images[j], _WINDOW) for i, j in pairs])
-        return reference.mean_over_pairs(costs).float().permute(1, 2, 0)
-
-
 def matching_cost(frame: Frame, grid: SphereGrid) -> float:
     """Return how well images match along the rays of a rig, the first sign of one that does not
     fit: the median of `lowest_costs`; 0.5 if no pair shares a view.
@@ -113,8 +95,7 @@ def lowest_costs(frame: Frame, grid: SphereGrid) -> NDArray[np.float32]:
     valid = sweep.rig.sees(grid.rays(), 1 / grid.max_depth)
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
         return np.full((grid.height, grid.width), np.nan, np.float32)
-    few = grid.width * grid.height * grid.num_spheres < _FEW_CELLS
-    volume = cost_volume(sweep, small, _PlainZNCC() if few else ZNCC(_WINDOW))
+    volume = cost_volume(sweep, small, ZNCC(_WINDOW))
     lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
     return torch.where(lowest.isfinite(), lowest, torch.nan).numpy()
 

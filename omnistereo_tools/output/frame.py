@@ -79,15 +79,11 @@ trust.tiff           float32 in [0, 1]: how likely the depth is right, off by at
                      error bars; 0 where cameras see black or white alone; below 0.5 a ray is doubtful
 rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
                      takes coordinates of your rig file to those of the panorama and the points
+provenance.json      what all this was made from: the version, checksums of rig and images, the method
 """
-_MADE = (
-    "provenance.json      what all this was made from: the version, checksums of rig and images,"
-    " the method\n"
-)
-_ERRORS = (
-    "errors.json          errors against the ground truth in % of the range swept, as in Table II"
-    " of the paper\n"
-)
+_ERRORS = """\
+errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +111,8 @@ class FrameResult:
             name, network = f"{self.method} {checksum(read_bytes(self.method))[:16]}", False
         else:
             name, network = self.method, Method.parse(self.method).has_weights
-        sizes = {
-            "width": grid.width,
-            "height": grid.height,
-            "phi_deg": list(grid.phi_deg),
-            "spheres": grid.num_spheres,
-        }
+        sizes = {"width": grid.width, "height": grid.height, "phi_deg": list(grid.phi_deg)}
+        sizes |= {"spheres": grid.num_spheres, "min_depth": grid.min_depth}
         made = provenance(
             self.depth.sweep.rig,
             arrays_checksum(self.depth.images),
@@ -128,7 +120,7 @@ class FrameResult:
             choose_precision("auto", device) if network else None,
             torch.get_num_threads() if network else None,
         )
-        return sizes | {"min_depth": grid.min_depth, "provenance": made}
+        return sizes | {"provenance": made}
 
     def replaces(self, out: Path) -> str | None:
         """Return in words what other depth a folder holds, which `write` replaces; None: none, or
@@ -194,11 +186,7 @@ class FrameResult:
             step("index.html")
             page.result()
         step("")
-        return [
-            "overview.png",
-            "index.html (open it in a browser)",
-            "data/ (README.txt says what each file holds)",
-        ]
+        return ["overview.png", "index.html", "data/ (README.txt says what each file holds)"]
 
     def export(
         self,
@@ -240,43 +228,36 @@ class FrameResult:
         return names
 
     def _write_overview(self, path: Path) -> None:
-        page = draw_overview(
-            self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences()
-        )
-        write_image(path, page)
+        what = self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences()
+        write_image(path, draw_overview(*what))
 
     def _write_page(self, path: Path) -> None:
         files = [f"data/{name}" for name in ("points.ply", "inverse_depth.tiff", "depth_mm.png")]
-        of_frame = {"trust": self.trust, "gt_index": self.gt_index, "files": files}
-        write_text(
-            path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame)
-        )
+        more = {"trust": self.trust, "gt_index": self.gt_index, "files": files}
+        page = viewer_page(self.depth, self.panorama, self.limits, self.title, **more)
+        write_text(path, page)
 
     def _write_data(self, data: Path) -> None:
         make_folder(data)
-        depth, grid = self.depth, self.depth.grid
-        write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
-        write_inverse_depth(data / "confidence.tiff", depth.confidence)
-        write_inverse_depth(data / "trust.tiff", self.trust)
-        write_inverse_depth(data / "sigma.tiff", depth.sigma)
-        write_inverse_depth(data / "bound.tiff", depth.bound)
-        write_image(
-            data / "inverse_depth.png",
-            ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),
-        )
+        depth, grid, inverse_depth = self.depth, self.depth.grid, self.depth.inverse_depth
+        of_rays: dict[str, NDArray[Any]] = {"inverse_depth": inverse_depth}
+        of_rays |= {
+            "confidence": depth.confidence,
+            "trust": self.trust,
+            "sigma": depth.sigma,
+            "bound": depth.bound,
+        }
+        for name, values in of_rays.items():
+            write_inverse_depth(data / f"{name}.tiff", values)
+        colors = ColorScale.of(inverse_depth).colorize(inverse_depth)
+        write_image(data / "inverse_depth.png", colors)
         write_panorama(data / "panorama.jpg", self._colors, grid)
         write_image(data / "depth_mm.png", in_millimetres(depth.depth))
         self._cloud.write(data / "points.ply", self.up)
         save_rig(depth.sweep.rig, data / "rig.yaml")
-        text = _README.format(
-            width=grid.width,
-            height=grid.height,
-            phi=grid.phi_deg,
-            method=self.method,
-            points=len(self._cloud.points),
-            axes=AXES_IN_WORDS[self.up],
-            max_depth=self.limits.max_depth,
-        )
+        sizes = {"width": grid.width, "height": grid.height, "phi": grid.phi_deg}
+        points = {"points": len(self._cloud.points), "max_depth": self.limits.max_depth}
+        text = _README.format(method=self.method, axes=AXES_IN_WORDS[self.up], **sizes, **points)
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
         write_facts(data / PROVENANCE, self.facts)
         if self.gt_index is not None:
@@ -285,7 +266,6 @@ class FrameResult:
             errors = {name: value if isfinite(value) else None for name, value in found.items()}
             write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
-        text += _MADE
         write_text(data / "README.txt", text)
 
 

@@ -150,7 +150,7 @@ def test_doctor_of_a_wrong_rig(data, capsys, scene_images):
 def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, capsys):
     assert run("doctor", "--rig", data / "config.yaml") == 0
     said = capsys.readouterr().out
-    assert "At 5 m, a match that is off by one pixel puts a depth off by" in said
+    assert "A match that is off by one pixel puts a depth off by" in said and " m at 5 m," in said
     # without images nothing can run
     assert "Ready to run" not in said and "omnistereo depth" not in said
 
