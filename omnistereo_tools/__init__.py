@@ -1,3 +1,1 @@
-"""Applications of `omnistereo_lib`: the command line `omnistereo`, and the modules that its
-commands use.
-"""
+"""The command line `omnistereo`, and the modules that its commands use."""

@@ -53,9 +53,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit status. Whatever goes wrong is one plain line, but for a
-    defect of the program.
-    """
+    """Run one command; return the exit status. All that goes wrong but a defect is one line."""
     keep_memory()
     # What OpenCV and its FFmpeg would print of a damaged file: our own words say it.
     os.environ |= {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}

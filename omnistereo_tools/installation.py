@@ -56,9 +56,7 @@ def check_python() -> Iterator[Check]:
 
 
 def _required_packages() -> Iterator[Check]:
-    """Compare the installed packages with the requirements of the distribution, its extras
-    aside.
-    """
+    """Compare the installed packages with the requirements of the distribution, without extras."""
     try:
         requirements = metadata.requires("omnistereo-lib") or []
     except metadata.PackageNotFoundError:

@@ -1,6 +1,4 @@
-"""Live view: panorama and depth of cameras or videos, as fast as the machine goes, in the
-browser.
-"""
+"""Live view: panorama and depth of cameras or videos in the browser, as fast as it goes."""
 
 from __future__ import annotations
 
@@ -52,9 +50,7 @@ class LivePicture:
     rows: float  #: share of the height of the picture that the panorama takes, and the depth again
 
     def ray_at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Return row and column of the ray at a place of the picture, both coordinates from 0 to 1;
-        None outside.
-        """
+        """Return row and column of the ray at a place of the picture, 0 to 1; None outside."""
         grid = self.depth.grid
         row, column = int(y % self.rows / self.rows * grid.height), int(x * grid.width)
         return (row, column) if 0 <= y < 2 * self.rows and 0 <= column < grid.width else None
@@ -67,17 +63,13 @@ class LivePicture:
         return "no depth here" if np.isnan(depth) else f"{told(float(depth))} along the ray"
 
     def why_at(self, x: float, y: float) -> str:
-        """Return why the ray at a place of the picture has its depth, one sentence, as the page of
-        a frame has it.
-        """
+        """Return why the ray at a place of the picture has its depth, one sentence."""
         ray = self.ray_at(x, y)
         return "" if ray is None else explain(self.depth, column=ray[1], row=ray[0]).sentence
 
 
 class Latest:
-    """A value that one thread renews and others wait for; who is slow misses values, and nobody is
-    held up.
-    """
+    """A value that one thread renews and others wait for; who is slow misses values."""
 
     def __init__(self) -> None:
         self._changed = Condition()

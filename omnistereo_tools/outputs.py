@@ -134,9 +134,7 @@ def _files_named(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:
-    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on
-    what it shows.
-    """
+    """Write a figure of Matplotlib so that its bytes depend only on what it shows."""
     from omnistereo_lib.files import atomic_write
 
     kind = path.suffix.lower()[1:]

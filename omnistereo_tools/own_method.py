@@ -42,9 +42,7 @@ class Own:
 
 
 def check_own(file: Path) -> None:
-    """Raise an `OmnistereoError` if a file cannot be a method: it is missing, no Python, or without
-    `depth`.
-    """
+    """Refuse a file that cannot be a method: missing, no Python, or without `depth`."""
     from omnistereo_lib.files import read_text
 
     text = read_text(file)

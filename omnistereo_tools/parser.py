@@ -88,9 +88,7 @@ def add_options(parser: ArgumentParser, kind: type[Options]) -> None:
 
 
 def _declared(kind: type[Options], name: str) -> tuple[Mapping[str, Any], str]:
-    """Return what is declared of an option, perhaps by a base class, and the title of that class
-    that has it first.
-    """
+    """Return what is declared of an option, and the title of the class that has it first."""
     owners = [owner for owner in kind.__mro__ if name in vars(owner).get("__annotations__", ())]
     declared = (vars(owner)["__dataclass_fields__"][name].metadata for owner in owners)
     return next(filter(None, declared)), (owners[-1].__doc__ or "").partition(".")[0]
@@ -116,9 +114,7 @@ def flag(name: str) -> str:
 
 
 def as_typed(command: str, kind: type[Options], options: Options, **changes: Any) -> str:
-    """Return the command line of another command with those options that it has, too, some of them
-    changed.
-    """
+    """Return the command line of another command with the options that both have, and changes."""
     shared = {one.name for one in fields(kind)}.intersection(options.given())
     other = kind(**{name: getattr(options, name) for name in shared} | changes)
     words = ["omnistereo", command]
@@ -142,9 +138,7 @@ def is_tiny() -> bool:
 
 
 def shrink(settings: _Settings) -> _Settings:
-    """Return a dataclass with every number at most its cap, the height by as much as the width, if
-    `is_tiny`.
-    """
+    """Return a dataclass with every number at most its cap, if `is_tiny`."""
     known: dict[str, Any] = vars(settings)
     if not is_tiny() or "width" not in known:
         return settings

@@ -10,9 +10,7 @@ tqdm.monitor_interval = 0  # its thread would outlive the command
 
 
 def progress_bar(unit: str = "part") -> Progress:
-    """Return a `progress` that shows a bar with what is said of each part, until all parts are
-    done.
-    """
+    """Return a `progress` that shows a bar with what is said of each part, until all are done."""
     bar: tqdm | None = None
 
     def show(done: int, total: int, what: str) -> None:

@@ -18,9 +18,7 @@ import numpy as np
 
 
 def main(file: str, folder: str) -> None:
-    """Call the file's `depth` on the inputs in the folder; write there what it answers, or what it
-    stopped with.
-    """
+    """Call the file's `depth` on the inputs in the folder; write there what it answers."""
     out = Path(folder)
     try:
         function = vars(load(Path(file).resolve())).get("depth")

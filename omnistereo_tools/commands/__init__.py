@@ -1,3 +1,1 @@
-"""The commands of `omnistereo`, one module each; what is slow to import is imported when a command
-runs.
-"""
+"""The commands of `omnistereo`, one module each; what is slow is imported when one runs."""

@@ -88,9 +88,7 @@ class CalibrateOptions(Options):
 
 
 def run(options: CalibrateOptions) -> int:
-    """Calibrate one camera or a rig and write it and its report; return 1 if images leave the given
-    rig as it is.
-    """
+    """Calibrate one camera or a rig, write it and its report; return 1 if the given rig stays."""
     if options.folder is None or options.board is None:
         from omnistereo_tools.commands.calibrate_images import run
 
@@ -100,9 +98,7 @@ def run(options: CalibrateOptions) -> int:
 
 
 def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) -> None:
-    """Calibrate one camera or a rig from images of a board; write it, its report and its
-    detections.
-    """
+    """Calibrate one camera or a rig from images of a board; write it, report and detections."""
     import numpy as np
 
     from omnistereo_learn.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
@@ -176,9 +172,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
 
 
 def read_board(name: str, square: float | None) -> Board:
-    """Return the board of a YAML file, or the checkerboard of a size such as 12x10 and an edge in
-    metres.
-    """
+    """Return the board of a YAML file, or the checkerboard of a size and an edge in metres."""
     from omnistereo_rigs.boards.captures import load_board
     from omnistereo_rigs.boards.checkerboard import Checkerboard
 
@@ -197,9 +191,7 @@ def read_board(name: str, square: float | None) -> Board:
 
 
 def _check_out(options: CalibrateOptions, folder: Path) -> None:
-    """Raise an `OmnistereoError` if --out would write over what is read, or add a camera to
-    FOLDER.
-    """
+    """Refuse an --out that would write over what is read, or add a camera to FOLDER."""
     out, pictures = options.out, folder.resolve()
     own = any(folder.glob("corners_*.yaml"))
     if not own and pictures in (out.resolve(), out.resolve().parent):

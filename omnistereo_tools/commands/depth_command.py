@@ -130,9 +130,7 @@ def rig_doctor(options: FrameOptions) -> str:
 
 
 def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
-    """Return the depth of a frame by a method of the library, or by a file; say how long it will
-    take, or took.
-    """
+    """Return the depth of a frame by a method of the library or a file; say how long it takes."""
     from omnistereo_tools.progress import progress_bar, say
 
     if is_own(method):
@@ -151,9 +149,7 @@ def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
 
 
 def _check(options: DepthOptions, out: Path) -> None:
-    """Raise an `OmnistereoError` if --images are those of a recording, or a result would replace
-    what is read.
-    """
+    """Refuse --images of a recording, and results that would replace what is read."""
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.output.frame import beside
 

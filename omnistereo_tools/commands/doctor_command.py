@@ -41,9 +41,7 @@ def run(options: DoctorOptions) -> int:
 
 
 def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
-    """Say what a rig can see and what depth to ask for, and check it against its images; return 1
-    if it is wrong.
-    """
+    """Say what a rig can see, and check it against its images; return 1 if it is wrong."""
     check_outputs(options, [options.write])
     has_images = options.images is not None or _is_data_set(rig_file)
     if options.write is not None and not has_images:

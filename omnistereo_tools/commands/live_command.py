@@ -44,9 +44,7 @@ class LiveOptions(MethodOptions, DepthRange, GridOptions, RigOptions):
 
 
 def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:
-    """Open the cameras or videos and return them, and the sweep of their rig, whose nearest depth
-    they show.
-    """
+    """Open the cameras or videos; return them, and the sweep of their rig."""
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.judge.coverage import Coverage

@@ -1,6 +1,4 @@
-"""Groups of options, most of which several commands share, and the rig, images and grid that they
-name.
-"""
+"""Groups of options that commands share, and the rig, images and grid that they name."""
 
 from __future__ import annotations
 
@@ -226,9 +224,7 @@ def read_frame(options: FrameOptions, number: int = 0) -> Frame:
 
 
 def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig:
-    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see
-    `with_circles`.
-    """
+    """Return the rig with what is black in images[frame][camera] masked, and warn of it."""
     from omnistereo_tools.input.masks import with_circles
 
     rig, found = with_circles(rig, images)
@@ -243,9 +239,7 @@ def warn_of(doubts: Iterable[str]) -> None:
 
 
 def find_min_depth(stated: float | None, frame: Frame) -> float:
-    """Return the nearest depth of the sweep in metres: as stated, else of the rig file, else a look
-    at the images.
-    """
+    """Return the nearest depth in metres: as stated, of the rig file, or a look at the images."""
     if (known := frame.rig.min_depth if stated is None else stated) is not None:
         return known
     from omnistereo_tools.judge.first_look import propose_min_depth
@@ -265,17 +259,13 @@ def make_grid(
     min_depth: float | None,
     phi_deg: tuple[float, float] | None = None,
 ) -> SphereGrid:
-    """Return the panorama that the options ask for; what they leave open is as `Coverage.propose`
-    recommends.
-    """
+    """Return the panorama that the options ask for; `Coverage.propose` fills in the rest."""
     width, height, spheres = options.sizes
     return coverage.propose(width, height, phi_deg, spheres, min_depth)
 
 
 def default_out(command: str, rig: Path | None) -> Path:
-    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of
-    the sample.
-    """
+    """Return a folder for the results of a rig, another one for each rig."""
     if rig is None:
         return Path("out")
     rig = rig.resolve()

@@ -181,9 +181,7 @@ def _next(options: RecordOptions, out: Path, fitting: bool) -> str:
 
 
 def _check(options: RecordOptions, out: Path) -> None:
-    """Raise an `OmnistereoError` if --images are pictures of one frame, or a result would replace
-    what is read.
-    """
+    """Refuse --images of one frame, and results that would replace what is read."""
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.record.recordings import OF_RAYS, SETTINGS
 
@@ -231,9 +229,7 @@ def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] |
 
 
 def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Recording:
-    """Return the frames chosen, and say which are left out; with --skip-bad those that cannot be
-    read, too.
-    """
+    """Return the frames chosen, and say which are left out, with --skip-bad the unreadable, too."""
     from omnistereo_tools.input.sources import Recording
     from omnistereo_tools.progress import say
 
@@ -275,9 +271,7 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
 def _frames_done(
     options: RecordOptions, writer: DepthWriter, left: Sequence[int], watching: Watching
 ) -> Iterator[int]:
-    """Compute the frames that are left, here, where the rig is watched, or on the cluster; yield
-    the number of each.
-    """
+    """Compute the frames that are left, here or on the cluster; yield the number of each."""
     if options.cluster is None:
         return writer.run(left, watching)
     from omnistereo_tools.record.cluster import depth_on_cluster

@@ -35,17 +35,11 @@ class StartOptions(LensOptions):
 
 
 def run(options: StartOptions) -> int:
-    """Calibrate, check and compute, and print the verdict of each step; return 1 if the rig does
-    not fit the pictures of the scene.
-    """
+    """Calibrate, check and compute, with a verdict each; return 1 if the rig does not fit."""
     boards, rig = options.folder / "boards", options.folder / "rig"
     images = _scene(options.folder / "scene", boards)
     calibrate = CalibrateOptions(
-        folder=boards,
-        board=options.board,
-        square=options.square,
-        max_fov=options.max_fov,
-        out=rig,
+        folder=boards, board=options.board, square=options.square, max_fov=options.max_fov, out=rig
     )
     _say("Rig", partial(calibrate_command.run, calibrate))
     file, out = rig / "config.yaml", options.folder / "depth"

@@ -35,9 +35,7 @@ class TrainOptions(DeviceOptions):
 
 
 def run(options: TrainOptions) -> None:
-    """Train a network to the end, with a progress bar; several processes under torchrun share the
-    work.
-    """
+    """Train a network to the end, with a progress bar; processes of torchrun share the work."""
     from omnistereo_learn import RECIPES, train
     from omnistereo_learn.loop import LOG, STATE, WEIGHTS
     from omnistereo_learn.provenance import PROVENANCE
@@ -69,12 +67,7 @@ def run(options: TrainOptions) -> None:
             )
 
     train(
-        recipe,
-        out,
-        options.data,
-        options.device,
-        init_weights=options.init_weights,
-        on_step=show,
+        recipe, out, options.data, options.device, init_weights=options.init_weights, on_step=show
     )
     if first_process:
         print(

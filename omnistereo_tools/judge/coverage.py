@@ -1,6 +1,4 @@
-"""Coverage of a rig, without any image: cameras and baseline in every direction, depth
-resolution.
-"""
+"""Coverage of a rig: cameras and baseline in every direction, depth resolution."""
 
 from __future__ import annotations
 
@@ -72,9 +70,7 @@ class Coverage:
         return depth**2 * np.radians(1 / self.pixels_per_degree) / self.baseline
 
     def rows(self) -> tuple[float, float] | None:
-        """Return the elevations in degrees between which two cameras see nearly all around, or None
-        without any.
-        """
+        """Return the elevations, degrees, between which two cameras see all around, or None."""
         full = np.mean(self.cameras >= 2, axis=1) >= _COVERED
         low = high = len(full) // 2
         if not full[low]:
@@ -126,9 +122,7 @@ class Coverage:
         return slice(min(first, self.grid.height - 1), max(stop, first + 1))
 
     def _farthest(self, phi_deg: tuple[float, float]) -> float:
-        """Return the depth in metres beyond which a match that is off by a pixel is infinitely far,
-        in the median.
-        """
+        """Return the depth in metres beyond which a pixel off is infinitely far (median)."""
         baseline = self.baseline[self._between(phi_deg)]
         return float(np.median(baseline[baseline > 0])) / np.radians(1 / self.pixels_per_degree)
 
@@ -176,9 +170,7 @@ class Coverage:
         return float(f"{nearest:.2g}")
 
     def left_out(self, grid: SphereGrid) -> str:
-        """Return what a grid shows, and what it leaves out of what the cameras see, as a
-        sentence.
-        """
+        """Return what a grid shows, and what it leaves out of what the cameras see."""
         seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
         outside = (
             100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
@@ -200,9 +192,7 @@ class Coverage:
         )
 
     def sentences(self, min_depth: float | None = None) -> list[str]:
-        """Return what the rig can see and how exact its depth can be, in plain sentences; arguments
-        as `propose`.
-        """
+        """Return what the rig can see and how exact its depth can be; see `propose`."""
         rig, lines = self.rig, []
         shares = ", ".join(
             f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1)
@@ -247,7 +237,5 @@ class Coverage:
 
 
 def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:
-    """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H,
-    W).
-    """
+    """Return which cameras see the point of each ray at a depth in metres, (cameras, H, W)."""
     return rig.sees(grid.rays(), 1 / depth)

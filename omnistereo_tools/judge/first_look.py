@@ -37,9 +37,7 @@ _PASSES = 2
 
 
 def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
-    """Yield what cannot be right with the poses of a rig whose sweep begins at a depth in
-    metres.
-    """
+    """Yield what cannot be right with the poses of a rig whose sweep begins at a depth, metres."""
     pairs = list(combinations(range(1, len(rig) + 1), 2))
     together = [
         f"{i} and {j}"
@@ -66,9 +64,7 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
 
 
 def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
-    """Return which images of a rig are the same picture, if any are; one that two cameras share is
-    no mistake.
-    """
+    """Return which images are the same picture, if any; one that two cameras share is right."""
     same = [
         f"{i} and {j}"
         for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
@@ -101,9 +97,7 @@ def lowest_costs(frame: Frame, grid: SphereGrid) -> NDArray[np.float32]:
 
 
 def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
-    """Yield what cannot be right with the images of a frame: one coarse cost volume if all is
-    well.
-    """
+    """Yield what cannot be right with the images of a frame, after one coarse cost volume."""
     if same := same_pictures(frame.images):
         yield same
         return

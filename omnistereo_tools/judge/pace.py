@@ -24,9 +24,7 @@ _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:
-    """Say how long a frame will take on the processor, before it begins; elsewhere only by which
-    method.
-    """
+    """Say how long a frame will take on the processor; elsewhere only by which method."""
     seconds = _SECONDS.get(Method.parse(method).cost)
     kind = select_device(device).type if device == "auto" else device
     if seconds is None or kind != "cpu":
@@ -76,9 +74,7 @@ def _why(keeps: bool) -> str:
 
 
 def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:
-    """Return how many seconds a frame takes, once the tables of the sweep and the network are
-    there.
-    """
+    """Return how many seconds a frame takes, once tables and network are there."""
     sweep_depth(sweep, images, method)
     start = time.perf_counter()
     sweep_depth(sweep, images, method)

@@ -75,9 +75,7 @@ class Ray:
 
     @cached_property
     def modes(self) -> list[Mode]:
-        """Depths at which the patches agree, best first: the agreement falls by `VALLEY` between
-        any two.
-        """
+        """Depths at which the patches agree, best first, with a `VALLEY` between any two."""
         found: list[Mode] = []
         values = np.nan_to_num(self.agreement, nan=-1.0)
         for n in np.argsort(-values, kind="stable"):
@@ -191,9 +189,7 @@ def for_the_page() -> dict[str, Any]:
 
 
 def tolerance(index: float) -> float:
-    """Return how many spheres an index may be off and still be right: two, or a tenth of the
-    depth.
-    """
+    """Return how many spheres off an index is still right: two, or a tenth of the depth."""
     return max(2.0, 0.1 * index)
 
 
@@ -282,9 +278,7 @@ def patches_of(
 
 
 def offsets(ray: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the samples of a patch around a unit ray, across it: to the right and down, (side,
-    side, 3).
-    """
+    """Return the samples of a patch across a unit ray, to the right and down, (side, side, 3)."""
     theta = np.arctan2(ray[0], ray[2])
     right = np.array([np.cos(theta), 0.0, -np.sin(theta)])
     down = np.cross(ray, right)

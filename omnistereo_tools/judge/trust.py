@@ -53,17 +53,13 @@ def likely(off: ArrayLike, sigma: ArrayLike, bound: ArrayLike) -> NDArray[np.flo
 
 
 def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:
-    """Return where a nearer sphere is seen by fewer than two cameras, so that a thing there is not
-    found, (H, W).
-    """
+    """Return where fewer than two cameras see a nearer sphere, so that nothing is found, (H, W)."""
     unseen = depth.sweep.keep("unseen", lambda: _nearest_unseen(depth.sweep))
     return np.nan_to_num(depth.index, nan=np.inf) < unseen
 
 
 def _nearest_unseen(sweep: SphereSweep) -> NDArray[np.float64]:
-    """Return the number of the nearest sphere on which fewer than two cameras see a ray, -1 without
-    any, (H, W).
-    """
+    """Return the nearest sphere on which fewer than two cameras see a ray, or -1, (H, W)."""
     rays, nearest = sweep.grid.rays(), np.full(sweep.grid.shape, -1.0)
     for n in np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT):
         seen = sweep.rig.sees(rays, sweep.grid.index_to_inverse_depth(n)).sum(0)
@@ -106,9 +102,7 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _is_lit(depth: Depth) -> NDArray[np.bool_]:
-    """Return where two cameras see neither black nor saturated pixels, for most rays around a ray,
-    shape (H, W).
-    """
+    """Return where two cameras see neither black nor white, for most rays around, (H, W)."""
     samples = depth.samples.reshape(*depth.samples.shape[:3], -1)  # (cameras, H, W, channels)
     channels = np.ascontiguousarray(np.moveaxis(samples, -1, 0))  # NumPy is slow across the last
     # False where NaN

@@ -139,9 +139,7 @@ class DepthGraph(nn.Module):
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:
-    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `Frame.reduced` and `to_gray`
-    give it.
-    """
+    """Return an image (h, w, 3) in gray, reduced, as `Frame.reduced` and `to_gray` give it."""
     blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]
     return ((blocks + 0.5).floor() * torch.tensor(_LUMA)[:, None, None]).sum(0)
 

@@ -14,9 +14,7 @@ import onnxruntime as ort
 
 
 def read_images(paths: list[str], inputs: list[ort.NodeArg]) -> dict[str, np.ndarray]:
-    """Return the images by the names of the inputs, uint8 (height, width, 3) RGB; exit if they do
-    not fit.
-    """
+    """Return the images by the names of the inputs, (h, w, 3) RGB; exit if they do not fit."""
     if len(paths) != len(inputs):
         raise SystemExit(
             f"error: there are {len(paths)} images for {len(inputs)} cameras. Give one for each."

@@ -1,3 +1,1 @@
-"""What a command writes for people and other programs: the page, pictures, points, meshes, crops,
-rigs.
-"""
+"""What a command writes for people and other programs: page, pictures, points, meshes."""

@@ -1,6 +1,4 @@
-"""The panorama that is looked at: cameras made equally bright and blended, so that none shows where
-it ends.
-"""
+"""The panorama that is looked at: cameras made equally bright, and blended."""
 
 from __future__ import annotations
 
@@ -149,9 +147,7 @@ def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[N
 
 
 def _pad(values: NDArray[Any]) -> NDArray[Any]:
-    """Return a panorama (H, W) or (H, W, C) with one more ray on each side: it is circular, and
-    ends in its rows.
-    """
+    """Return a panorama (H, W) or (H, W, C) with one more ray on each side, circular in columns."""
     rows = np.concatenate([values[:1], values, values[-1:]])
     return np.concatenate([rows[:, -1:], rows, rows[:, :1]], 1)
 
@@ -168,9 +164,7 @@ def _cells(padded: NDArray[Any]) -> NDArray[Any]:
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:
-    """Return the distance of each pixel from the nearest that is not visible, shape (height,
-    width), at most 1.
-    """
+    """Return the distance of each pixel from the nearest invisible one, (height, width), 0 to 1."""
     visible = np.pad(camera.visible_pixels().astype(np.uint8), 1)  # the image ends in a rim, too
     distance = cv2.distanceTransform(visible, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return distance / distance.max()

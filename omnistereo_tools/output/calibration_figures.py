@@ -8,9 +8,7 @@ from omnistereo_rigs.boards.report import CameraReport
 
 
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
-    """Draw every corner's residual from one origin, with circles of one, two and three sigma: it
-    should be a cloud.
-    """
+    """Draw every corner's residual from one origin, with circles of one, two and three sigma."""
     residuals = report.inlier_residuals()
     ax.scatter(residuals[:, 0], residuals[:, 1], s=5, alpha=0.4, linewidths=0)
     angle = np.linspace(0, 2 * np.pi, 100)
@@ -61,9 +59,7 @@ def draw_error_by_angle(ax: Axes, report: CameraReport) -> None:
 
 
 def draw_error_directions(ax: Axes, report: CameraReport) -> None:
-    """Draw every corner in the image, coloured by its residual's direction: neighbours of one
-    colour are a bias.
-    """
+    """Draw every corner, coloured by its residual's direction: one colour nearby is a bias."""
     corners = np.concatenate([report.corners[view] for view in report.views_used])
     residuals = np.concatenate(list(report.residuals_used().values()))
     direction = np.degrees(np.arctan2(residuals[:, 1], residuals[:, 0]))
@@ -78,9 +74,7 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
 
 
 def draw_coverage(ax: Axes, report: CameraReport) -> None:
-    """Draw all corners in the image, a colour for each view, with circles at 30°, 60°, 90° from the
-    axis.
-    """
+    """Draw all corners in the image, a colour for each view, with circles of 30°, 60°, 90°."""
     for view in report.views_used:
         u, v = report.corners[view].T
         ax.scatter(u, v, s=5, linewidths=0)
@@ -108,9 +102,7 @@ def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
 
 
 def calibration_figure(report: CameraReport) -> Figure:
-    """Return the four pictures that a calibration is judged by: coverage, residuals, by angle,
-    directions.
-    """
+    """Return what a calibration is judged by: coverage, residuals, by angle, directions."""
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots(2, 2)
     draw_coverage(axes[0, 0], report)

@@ -1,6 +1,4 @@
-"""What `omnistereo depth` writes for one frame: a page to look at, a viewer, the data behind them,
-and exports.
-"""
+"""What `omnistereo depth` writes for one frame: overview, viewer, data, and exports."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -123,9 +121,7 @@ class FrameResult:
         return sizes | {"provenance": made}
 
     def replaces(self, out: Path) -> str | None:
-        """Return in words what other depth a folder holds, which `write` replaces; None: none, or
-        the same.
-        """
+        """Return in words what other depth a folder holds, which `write` replaces, if any."""
         stored = read_facts(out / "data" / PROVENANCE)
         other = differences(stored, self.facts) + notes(stored, self.facts) if stored else []
         return f"the depth that is in {out}/ is replaced: {'; '.join(other)}" if other else None
@@ -152,9 +148,7 @@ class FrameResult:
 
     @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
-        """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh,
-        too.
-        """
+        """The panorama that is looked at, RGB, sharper than the depth; a mesh's texture."""
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
         return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)), self._gains)
 
@@ -171,9 +165,7 @@ class FrameResult:
         return PointCloud.of(self.depth, self._colors, self.limits, self.doubtful)
 
     def write(self, out: Path, progress: Progress = silent) -> list[str]:
-        """Write everything into a folder; return the names of what was written, the first to look
-        at first.
-        """
+        """Write everything into a folder; return the names, the first to look at first."""
         step = counted(progress, 3)
         folder = make_folder(out)
         _ = self._cloud, self.panorama, self.trust  # the page is written beside the rest

@@ -130,9 +130,7 @@ def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]
 
 
 def _outline(cells: NDArray[np.int64], pattern: int, rays: int) -> NDArray[np.int64]:
-    """Return the outline of the part of cells (M, 4) whose corners are bits of a pattern; vertices
-    as `_triangles`.
-    """
+    """Return the outline of the corners of cells (M, 4) that a pattern of bits names."""
     found = []
     for k in range(4):
         here, following = cells[:, k], cells[:, (k + 1) % 4]
@@ -145,17 +143,13 @@ def _outline(cells: NDArray[np.int64], pattern: int, rays: int) -> NDArray[np.in
 
 
 def is_connected(depths: NDArray[Any], indices: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of
-    each (rays, M).
-    """
+    """Return whether neighbouring rays show one surface, (M,), by metres and indices (rays, M)."""
     near, far = depths.min(0), depths.max(0)  # NaN if one is unknown
     return (far <= (1 + _EDGE) * near) | (np.ptp(indices, axis=0) <= _SPHERES)
 
 
 def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
-    """Return the mesh with texture coordinates: where a triangle crosses the ±180° seam, vertices
-    are repeated.
-    """
+    """Return the mesh with texture coordinates; at the ±180° seam vertices are repeated."""
     pixels, _ = depth.grid.project(mesh.vertices)
     u, v = (pixels[:, 0] + 0.5) / depth.grid.width, 1 - (pixels[:, 1] + 0.5) / depth.grid.height
     faces, vertices = np.array(mesh.faces), np.array(mesh.vertices)
@@ -180,9 +174,7 @@ def _coloured(mesh: Trimesh, colors: NDArray[np.uint8], doubtful: NDArray[np.boo
 def _textured(
     mesh: Trimesh, uv: NDArray[Any], panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]
 ) -> bytes:
-    """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful;
-    none is empty.
-    """
+    """Return a GLB file with the sure and the doubtful triangles of a mesh as two objects."""
     from PIL import Image
     from trimesh import Scene
     from trimesh.visual import TextureVisuals

@@ -72,9 +72,7 @@ def draw_overview(
 
 
 class _Page:
-    """White paper to paste pictures on and write beside them; places are (column, row) in
-    pixels.
-    """
+    """White paper to paste pictures on and write beside them; places are (column, row), px."""
 
     def __init__(self) -> None:
         self._image = Image.new("RGB", (_WIDTH, 3 * _WIDTH), "white")
@@ -84,9 +82,7 @@ class _Page:
         )
 
     def paste(self, pixels: NDArray[np.uint8], corner: tuple[int, int]) -> None:
-        """Paste a picture (height, width, 3), its upper left corner at a place, with a thin
-        frame.
-        """
+        """Paste a picture (height, width, 3), its upper left corner at a place, framed."""
         (left, top), (height, width) = corner, pixels.shape[:2]
         frame = (left - 1, top - 1, left + width, top + height)
         self._draw.rectangle(frame, outline="black")
@@ -102,9 +98,7 @@ class _Page:
         resize: int = cv2.INTER_NEAREST,
         degrees: bool = True,
     ) -> int:
-        """Paste a panorama, resized to a width, below its name, with degrees at its edges; return
-        the row below them.
-        """
+        """Paste a panorama of some width below its name, with degrees; return the row below."""
         (left, top), (first, last) = corner, phi_deg
         self.write((left, top), name, "la", _NAME)
         scale, top = width / 360, top + 34  # px per degree

@@ -1,6 +1,4 @@
-"""Pictures of a depth panorama: the sharp panorama, depth in colours that use the range found,
-points from outside.
-"""
+"""Pictures of a depth panorama: the sharp panorama, depth in colours, points from outside."""
 
 from __future__ import annotations
 
@@ -52,9 +50,7 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
 def faded(
     colors: NDArray[np.uint8], doubtful: NDArray[Any], towards: int = BACKGROUND
 ) -> NDArray[np.uint8]:
-    """Return colours (..., 3) of which the doubtful ones (...), from 0 to 1, are drawn towards a
-    gray value.
-    """
+    """Return colours (..., 3), drawn towards a gray value as they are doubtful (...), 0 to 1."""
     return (colors + (_FADE * doubtful[..., None]) * (np.float32(towards) - colors)).astype(
         np.uint8
     )
@@ -85,9 +81,7 @@ class ColorScale:
     def colorize(
         self, inverse_depth: NDArray[Any], doubtful: NDArray[Any] | None = None
     ) -> NDArray[np.uint8]:
-        """Return the colours of inverse depth (H, W), (H, W, 3) RGB, doubtful rays faded; see
-        `colorize_depth`.
-        """
+        """Return inverse depth (H, W) in colours, (H, W, 3) RGB, doubtful rays faded."""
         colors = colorize_depth(inverse_depth - self.low, self._grid)
         return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
@@ -96,9 +90,7 @@ class ColorScale:
         return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._grid)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth
-        apart.
-        """
+        """Return places in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
         depths = [
             np.inf,
             *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1)),
@@ -112,9 +104,7 @@ class ColorScale:
 
     @property
     def _grid(self) -> SphereGrid:
-        """A grid, of which `colorize_depth` reads the nearest depth only: it reaches as far as the
-        scale.
-        """
+        """A grid, of which `colorize_depth` reads the nearest depth only."""
         return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))
 
 

@@ -1,6 +1,4 @@
-"""The point cloud: which rays are points, their colours, normals, confidence and doubts, as binary
-PLY.
-"""
+"""The point cloud, as binary PLY: points, colours, normals, confidence and doubts."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 @dataclass(frozen=True)
 class Limits:
-    """Rays that become points or triangles: up to `max_depth` in metres, from `min_confidence`
-    on.
-    """
+    """Rays that become points or triangles: up to `max_depth`, m, from `min_confidence` on."""
 
     max_depth: float
     min_confidence: float
@@ -49,9 +45,7 @@ class Limits:
     def of(
         cls, depth: Depth, max_depth: float | None = None, min_confidence: float | None = None
     ) -> Limits:
-        """Return the limits; by default up to the fourth sphere from infinity, and with any
-        confidence.
-        """
+        """Return the limits; by default up to the fourth sphere from infinity."""
         if max_depth is None:
             max_depth = float(
                 depth.grid.index_to_depth(min(_FAR_SPHERE, depth.grid.num_spheres - 1))
@@ -85,9 +79,7 @@ class PointCloud:
         limits: Limits,
         doubtful: NDArray[np.bool_],
     ) -> PointCloud:
-        """Return the points of the rays within the limits, coloured by a panorama; gray gives gray
-        points.
-        """
+        """Return the points of the rays within the limits, coloured by a panorama."""
         colors = np.repeat(panorama[..., None], 3, -1) if panorama.ndim == 2 else panorama
         keep = limits.keep(depth) & np.isfinite(colors[..., 0])
         points = depth.grid.rays() * np.where(keep, depth.depth, 0)[..., None]

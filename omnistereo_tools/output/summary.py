@@ -38,9 +38,7 @@ def fits(doubtful_percent: float) -> bool:
 
 
 def verdict(doubtful_percent: float, of_what: str = "", doubt: str | None = None) -> str:
-    """Return the verdict on a depth in words, with the number that carries it, or with what is
-    wrong, if that is known.
-    """
+    """Return the verdict on a depth, with the number that carries it, or with what is wrong."""
     if doubt:
         return f"Bad: the rig and the images do not fit: {doubt}."
     number = f"{doubtful_percent:.0f} % of rays are doubtful{of_what}"
@@ -52,9 +50,7 @@ def verdict(doubtful_percent: float, of_what: str = "", doubt: str | None = None
 def depth_sentences(
     depth: Depth, limits: Limits, doubtful: NDArray[np.bool_], doubt: str | None = None
 ) -> list[str]:
-    """Return the verdict, nearest and median depth, what is doubtful, how many rays the limits
-    keep, whether the spheres suit.
-    """
+    """Return the verdict, the depths found, what is doubtful or left out, and advice on spheres."""
     rays, known = depth.index.size, int(depth.valid.sum())
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
@@ -134,16 +130,12 @@ def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[floa
 
 
 def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
-    """Return the depth in metres than which two in a thousand of the kept rays are nearer; NaN
-    without any.
-    """
+    """Return the depth in metres than which 2 ‰ of the kept rays are nearer; NaN without any."""
     return float(np.quantile(depth.depth[keep], _FEW)) if keep.any() else float("nan")
 
 
 def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
-    """Return the errors against the ground truth: relative depth errors, then those of the
-    paper.
-    """
+    """Return the errors against the ground truth: relative ones, then those of the paper."""
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)
     both = (

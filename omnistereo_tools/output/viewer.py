@@ -1,6 +1,4 @@
-"""`index.html`: one file for any browser, offline, to look around, to measure, and to ask why a ray
-has its depth.
-"""
+"""`index.html`, one file for any browser: look around, measure, ask why a ray has its depth."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ def viewer_page(
 def page_of(
     data: dict[str, Any], page: str = "page.html", scripts: Sequence[str] = _SCRIPTS
 ) -> str:
-    """Return a page in one piece: that of `viewer_data`, or another file of the folder `page`, with
-    its scripts.
-    """
+    """Return a page of the folder `page` in one piece, with its data and scripts."""
     page, *scripts = ((_PAGE / name).read_text(encoding="utf-8") for name in (page, *scripts))
     page = page.replace("{{SCRIPTS}}", "".join(scripts))
     return page.replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
@@ -127,9 +123,7 @@ def viewer_data(
 
 
 def _in_steps(inverse_depth: NDArray[Any], per_step: float) -> NDArray[np.uint16]:
-    """Return inverse depths as steps from 1; 0 is unknown, and nearer than the last step is the
-    last.
-    """
+    """Return inverse depths as steps from 1; 0 is unknown, what is nearer is the last."""
     steps = np.where(np.isfinite(inverse_depth), 1 + np.nan_to_num(inverse_depth) / per_step, 0)
     return steps.round().clip(0, _STEPS + 1).astype("<u2")
 
@@ -146,9 +140,7 @@ def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def fisheye_images(depth: Depth) -> tuple[list[OcamCamera], list[NDArray[np.uint8]]]:
-    """Return the cameras and their images, RGB, as the page has them: blocks of pixels averaged
-    where they are wide.
-    """
+    """Return the cameras and their images, RGB, as the page has them: reduced if wide."""
     cameras, images = [], []
     for camera, image in zip(depth.sweep.rig.cameras, depth.images, strict=False):
         factor = -(-camera.image_size[0] // _IMAGE_WIDTH)
@@ -165,9 +157,7 @@ def fisheye_images(depth: Depth) -> tuple[list[OcamCamera], list[NDArray[np.uint
 
 
 def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return what projects points of the rig into a camera, and its image, transparent where it is
-    blind.
-    """
+    """Return what projects points into a camera, and its image, transparent where it is blind."""
     T_cam_rig = T_rig_cam.inverse()
     visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
     return {
@@ -183,9 +173,7 @@ def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> di
 
 
 def packed(values: NDArray[Any]) -> str:
-    """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high
-    ones, deflated.
-    """
+    """Return unsigned integers (H, W) as text: differences in rows, low bytes first, deflated."""
     differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
     planes = np.ascontiguousarray(differences).view(np.uint8).reshape(values.size, -1).T
     return _base64(zlib.compress(planes.tobytes(), 6))

@@ -110,12 +110,7 @@ def test_without_a_compiler_depth_is_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("RANK", "x"),
-        ("RANK", "1_0"),
-        ("WORLD_SIZE", "9" * 5000),
-    ],
+    ("name", "value"), [("RANK", "x"), ("RANK", "1_0"), ("WORLD_SIZE", "9" * 5000)]
 )
 def test_a_number_of_the_environment_that_is_none(monkeypatch, capsys, tmp_path, name, value):
     monkeypatch.setenv(name, value)

@@ -357,10 +357,7 @@ def test_the_newest_value_is_what_waits():
     "change, message",
     [
         (["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
-        (
-            ["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"],
-            "no.mp4 is not a video file",
-        ),
+        (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "no.mp4 is not a video file"),
     ],
 )
 def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):
