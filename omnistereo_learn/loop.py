@@ -38,14 +38,7 @@ from omnistereo_learn.samples.patches import PatchSamples
 from omnistereo_learn.samples.spheres import SphereSamples
 from omnistereo_learn.samples.volumes import VolumeSamples
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
-from omnistereo_lib.files import (
-    as_path,
-    atomic_write,
-    checksum,
-    make_folder,
-    read_bytes,
-    read_text,
-)
+from omnistereo_lib.files import as_path, atomic_write, checksum, make_folder, read_bytes, read_text
 from omnistereo_lib.stereo.device import number_from_environment, select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, choose_precision
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
@@ -199,8 +192,7 @@ class _Run:
     def step(self, step: int) -> dict[str, float]:
         """Do one step; return its row of the log, with the loss and error over all processes.
 
-        Where the loss or its gradient is not finite, the weights stay as they are and the loss is
-        NaN.
+        Where the loss or its gradient is not finite, the weights stay and the loss is NaN.
         """
         rate = self.recipe.learning_rate_at(step)
         for group in self.optimizer.param_groups:

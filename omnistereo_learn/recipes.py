@@ -45,8 +45,7 @@ class Recipe:
     augment: bool = True
     seed: int = 0
 
-    # Optimiser
-    # sgd is the optimiser of the papers; it needs far more steps
+    # Optimiser sgd is the optimiser of the papers; it needs far more steps
     optimizer: Literal["adamw", "sgd"] = "adamw"
     learning_rate: float = 2e-3
     # drop: a tenth after 11 of 14 epochs, as in both papers
@@ -157,8 +156,7 @@ class VolumeNetRecipe(Recipe):
 class MCCNNRecipe(Recipe):
     """Recipe of MC-CNN. A micro-batch is rays of one frame, each with a match and a non-match.
 
-    Distances are pixels between the views of one point in two cameras: one sphere index is a
-    fraction of that.
+    Distances are pixels between the views of one point in two cameras: a sphere is less.
     """
 
     network: ClassVar[str] = "mccnn"

@@ -17,8 +17,7 @@ _STITCHED = (".360",)
 # The sides of a panorama meet if its first and last column differ by less than this share of the
 # difference of columns half an image apart.
 _SIDES_MEET = 0.25
-# The first row of a panorama is one point, so it varies less than this share of the whole image
-# does.
+# The first row of a panorama is one point: it varies less than this share of the whole image.
 _EVEN = 0.35
 # Lenses that share an image have principal points farther apart than this share of its longer side.
 _APART = 0.2
@@ -35,8 +34,7 @@ def check_not_stitched(path: str | Path) -> None:
 def split_image(image: NDArray[np.uint8], rig: Rig, path: str | Path) -> list[NDArray[np.uint8]]:
     """Return the images of all cameras out of one, which they share, or side by side in it.
 
-    Raises an `OmnistereoError` if the image is neither, with the reason if it is an equirectangular
-    panorama.
+    Raises an `OmnistereoError` if the image is neither, with the reason if it is a panorama.
     """
     height, width = image.shape[:2]
     sizes = [camera.image_size for camera in rig.cameras]

@@ -123,8 +123,7 @@ def load_dataset(
         split: A folder of that name inside `folder`; for the published sets the frame numbers of
             their releases. None: every frame.
         unit: Unit of the poses, for rig files that do not state it.
-        gt_width: Panorama width in pixels of the ground truth to read, where there are several;
-            default: the widest.
+        gt_width: Panorama width in pixels of the ground truth to read; default: the widest.
         max_fov_deg: As for `load_rig`.
         rig: The rig, where its file in the folder is of another program.
 
@@ -250,8 +249,7 @@ def _gt_root(folder: Path) -> Path:
 def _find_gt(folder: Path, width: int | None) -> dict[int, Path]:
     """Return the ground-truth files by frame number, of one panorama width (None: the widest).
 
-    The first release keeps one ground truth for all weathers beside their folders, split into train
-    and test.
+    The first release keeps one ground truth for all weathers beside their folders, in splits.
     """
     found = _gt_by_width(folder.glob("*depth_*")) or _gt_by_width(folder.parent.glob("depth_t*_*"))
     if width is not None and width not in found:

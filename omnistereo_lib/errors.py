@@ -17,8 +17,7 @@ class OmnistereoError(ValueError):
     """Bad input, said so that a person can act on it.
 
     The message names what was given (the file, where there is one), what was found in it, what was
-    expected and what to do. The command line prints it as one plain line; everything else that
-    escapes is a bug.
+    expected and what to do. The command line prints it as a plain line; all else is a bug.
 
     >>> osl.SphereGrid(640, 160, min_depth=-1)
     Traceback (most recent call last):

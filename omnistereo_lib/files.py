@@ -105,8 +105,7 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
     """Return the content of a JSON, XML (by their suffixes) or YAML file as Python values.
 
     A matrix of OpenCV is a mapping with its rows, cols and data; values in XML are text. An
-    `OmnistereoError` names what is damaged, stated twice, nested too deeply, or repeated too often
-    by aliases.
+    `OmnistereoError` names what is damaged, stated twice, nested too deeply or repeated too often.
     """
     import yaml
 
@@ -115,8 +114,7 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
         return parse_json(text, path)
     if Path(path).suffix == ".xml":
         return _parse_xml(text, path)
-    # OpenCV before 5 writes "%YAML:1.0", people "data:[" without a blank, ROS a line of dashes
-    # behind a message.
+    # OpenCV before 5 writes "%YAML:1.0", people "data:[" without a blank, ROS dashes behind.
     text = re.sub(r"\A\s*%YAML:.*|\n---\s*\Z", "", text)
     text = re.sub(r"(?m)^([ ]*[\w.-]+:)(?=[\[{])", r"\1 ", text)
     try:

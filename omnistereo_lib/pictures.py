@@ -266,8 +266,7 @@ def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> N
     They are uint8, or float32 where the file has other than 8 bits. Of a file of 16 bits white is
     its largest value of 8, 10, 12, 14 or 16 bits, as many as its pixels use; PGM and PPM state it.
     `image_size` is the width and height that it must have, compared before it is decoded. A mark
-    that it is turned (EXIF, TIFF) is ignored: calibrations refer to the pixels of the sensor.
-    Raises as `read_pixels`.
+    that it is turned (EXIF, TIFF) is ignored, as calibrations do. Raises as `read_pixels`.
     """
     pixels, white = _read_pixels(path, image_size)
     if white == 255:

@@ -459,8 +459,7 @@ def build_tree(prims: NDArray[Any]) -> Tree:
 def _best_cut(low: NDArray[Any], high: NDArray[Any]) -> int:
     """Return how many of a row of boxes (n, 3) go to the first of two parts.
 
-    A ray meets a part with a probability in proportion to its area, and may then have to try each
-    box in it.
+    A ray meets a part with a probability in proportion to its area, and may have to try each box.
     """
     # The surface area heuristic (MacDonald and Booth 1990): area times number of boxes, for both
     # parts.

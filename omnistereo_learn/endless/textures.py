@@ -3,8 +3,7 @@
 Every pattern takes the footprint of the pixel, its width on the surface. What is finer than the
 footprint fades to its mean, so nothing aliases with a single ray a pixel.
 
-Numba's cache looks at one file: after a change here, touch `caster.py`, whose functions are
-compiled with these.
+Numba's cache looks at one file: after a change here, touch `caster.py`, too.
 """
 
 import math

@@ -101,8 +101,7 @@ class EndlessWorlds:
     """The frames of a seed by number; the next ones are drawn ahead by other processes.
 
     Args:
-        workers: Number of processes; default: the processors but one. 0: frames are drawn when they
-            are asked for.
+        workers: Number of processes; default: the processors but one. 0: drawn when asked for.
     """
 
     def __init__(self, seed: int, workers: int | None = None) -> None:

@@ -60,8 +60,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
 def near_edges(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:
     """Return the mask (H, W) of the rays within `EDGE_PX` of a depth discontinuity.
 
-    There n̂ of two neighbours differs by more than `DISCONTINUITY_PERCENT` of N. NaN is not a
-    discontinuity.
+    There n̂ of two neighbours differs by more than `DISCONTINUITY_PERCENT` of N. NaN is none.
     """
     limit = DISCONTINUITY_PERCENT / 100 * num_spheres
     across = np.abs(gt_index - np.roll(gt_index, -1, 1)) > limit

@@ -5,12 +5,10 @@ The direct polynomial f maps a pixel to a ray, the inverse polynomial r maps a r
     ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)   pixels from the centre, before the affine map A
     r(t) = b0 + b1 t + b2 t² + ...                t = atan2(-Z, hypot(X, Y)), below the xy-plane
 
-The angle from the optical axis is t + π/2. Nothing is divided by Z, so a field of view above 180°
-is not special.
+The angle from the optical axis is t + π/2. Nothing is divided by Z, so 180° are nothing special.
 
 Camera frame: x right, y down, z along the optical axis. Pixels: (u right, v down), integers are
-pixel centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); their reader
-swaps.
+pixel centres, (0, 0) is the centre of the top-left pixel. Files store (row, column).
 """
 
 from __future__ import annotations
@@ -44,8 +42,7 @@ _NEWTON_STEPS = 4
 class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
-    Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of
-    range.
+    Raises an `OmnistereoError` if a parameter is not finite, of the wrong shape or out of range.
 
     >>> camera = osl.load_rig("data_samples/sunny/test").cameras[0]
     >>> # ahead, to the right, behind
@@ -174,8 +171,7 @@ class OcamCamera:
             mask; False for undefined directions.
 
         Raises:
-            OmnistereoError: If points has another shape, or the direct polynomial does not reach
-                the field of view.
+            OmnistereoError: If points has another shape, or the direct polynomial ends earlier.
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
@@ -226,8 +222,7 @@ class OcamCamera:
 
         Args:
             uv: array, shape (..., 2), pixels
-            use_direct_poly: False: invert the inverse polynomial numerically. True: evaluate the
-                direct polynomial.
+            use_direct_poly: False: invert the inverse polynomial. True: use the direct one.
 
         Returns:
             rays: shape (..., 3), unit length, camera frame
@@ -246,8 +241,7 @@ class OcamCamera:
             max_radius, _ = _branch_end(self.poly, self._max_t, 3 * max(self.image_size))
         else:
             t, max_radius = self._angle_by_root(r), self.max_radius
-        # The sine of the angle from the axis, which is t + π/2. So the ray is (x/r cos t, y/r cos
-        # t, -sin t).
+        # The sine of the angle from the axis, t + π/2: the ray is (x/r cos t, y/r cos t, -sin t).
         sine = np.cos(t)
         safe_r = np.where(r > 0, r, 1.0)
         rays = np.stack([x / safe_r * sine, y / safe_r * sine, -np.sin(t)], -1)
@@ -359,8 +353,7 @@ def fit_inverse_polynomial(
     Args:
         poly: Direct polynomial, low to high, pixels.
         max_fov_deg: Full field of view to cover.
-        max_radius: Upper bound of the radius in pixels, such as three times the larger side of the
-            image.
+        max_radius: Upper bound of the radius in pixels, such as three times the image's side.
         tolerance: Largest error in pixels.
 
     Returns:
@@ -374,8 +367,7 @@ def fit_inverse_polynomial(
     >>> fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
     array([447.2, 499.6, 275.6, 150.1,  62.3,  18.8,   2.6])
     """
-    # Sample angles and radii of the direct polynomial, then fit degree after degree until one is
-    # near enough.
+    # Sample the direct polynomial, then fit degree after degree until one is near enough.
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
     for degree in range(3, 26):

@@ -22,8 +22,7 @@ _ROTATION_TOLERANCE = 1e-5
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a
-    rotation.
+    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R no rotation.
 
     >>> T_ab = osl.Pose.from_vector([0, np.pi / 2, 0, 0.5, 0, 0])  # 90° about y, then 0.5 m along x
     >>> (T_ab @ [0, 0, 1]).round(3)
@@ -121,8 +120,7 @@ def rotation_from_axis_angle(r: ArrayLike) -> Floats:
 
 def nearest_rotation(M: Floats) -> Floats:
     """Return the rotation nearest to a matrix (3, 3): of a sum of rotations, their mean."""
-    # With M = U S Vᵀ it is U diag(1, 1, ±1) Vᵀ, the sign such that the determinant is 1 (Kabsch
-    # 1976).
+    # With M = U S Vᵀ it is U diag(1, 1, ±1) Vᵀ, with a determinant of 1 (Kabsch 1976).
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 

@@ -131,8 +131,7 @@ class Rig:
         """Return the rig with its origin moved to the sweep centre, axes unchanged.
 
         Args:
-            center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of
-            the camera centres.
+            center ((3,), metres): Sweep centre in the rig frame. Default: the mean of the cameras.
         """
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
         return self.transformed(Pose(np.eye(3), -center))

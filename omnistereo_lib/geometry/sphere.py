@@ -35,12 +35,10 @@ class SphereGrid:
     """Directions θ, φ of a panorama and inverse depths d_n of N spheres (paper, Section III-B).
 
     A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z,
-    right is +x, down is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by
-    90° and mirrored.
+    right is +x, down is +y. The paper's (cosφ cosθ, sinφ, cosφ sinθ) is turned by 90° and mirrored.
 
     Raises:
-        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or
-            out of range.
+        OmnistereoError: If a size is not an integer, or one, an angle or a depth is out of range.
 
     >>> grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55)
     >>> grid.index_to_depth([0, 1, 191]).round(2)
@@ -142,8 +140,7 @@ class SphereGrid:
         phi = np.arctan2(points[..., 1], np.hypot(points[..., 0], points[..., 2]))
         column_offset, row_offset, extra_rows = _SAMPLINGS[self.sampling]
         low, high = np.radians(self.phi_deg)
-        # The inverses of `thetas` and `phis`; columns are then moved into [-0.5, W - 0.5), around
-        # the seam.
+        # The inverses of `thetas` and `phis`, the columns then moved into [-0.5, W - 0.5).
         column = theta * self.width / (2 * np.pi) + self.width / 2 - column_offset
         column = (column + 0.5) % self.width - 0.5
         row = (phi - low) * (self.height + extra_rows) / (high - low) - row_offset

@@ -38,6 +38,5 @@ def _minimum(context: Any, a: Any, b: Any) -> Any:
     return numba.float32(numba.float32, numba.float32), build
 
 
-# Any: called in compiled code only, with a and b alone; without a compiler (NUMBA_DISABLE_JIT) by
-# Python.
+# Any: called in compiled code, with a and b alone; by Python under NUMBA_DISABLE_JIT.
 minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)  # type: ignore[attr-defined]

@@ -61,8 +61,7 @@ def feature_coordinates(
         size: Of the volume: (W', H', N'). See `volume_sizes`.
 
     Returns:
-        list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where the cell is not
-        visible to the camera.
+        list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where unseen.
     """
     rays, inverse_depth = volume_cells(grid, size)
     # Some columns at a time: what projecting them takes is four times as large as the result.

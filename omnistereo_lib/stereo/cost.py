@@ -22,11 +22,7 @@ class Cost(Protocol):
     """
 
     def volume(
-        self,
-        sweep: SphereSweep,
-        frame: Frame,
-        pairs: Sequence[Pair],
-        progress: Progress = silent,
+        self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume C(p, n) of a frame.
 
@@ -68,15 +64,10 @@ class BlockCost(ABC):
         """
 
     def volume(
-        self,
-        sweep: SphereSweep,
-        frame: Frame,
-        pairs: Sequence[Pair],
-        progress: Progress = silent,
+        self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
-        # A block of spheres per thread, if the cost runs in one; each thread has a buffer for the
-        # warped images.
+        # A block of spheres per thread, if the cost runs in one, each with a buffer to warp into.
         normalized = sweep.normalize_images(frame)  # cameras × (h, w)
         (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
         volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
@@ -101,8 +92,7 @@ class BlockCost(ABC):
                 )
                 raise OmnistereoError(f"{wrong}; expected (H, W, spheres) = {tuple(target.shape)}")
             costs = torch.as_tensor(costs)
-            # by NumPy: torch has threads of its own, which spin after each operation and slow these
-            # down
+            # by NumPy: torch's own threads spin after each operation, and slow these
             if on_cpu:
                 target.numpy()[:] = costs.detach().float().numpy()
             else:

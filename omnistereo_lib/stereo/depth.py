@@ -54,8 +54,7 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
         volume: As for `winner_takes_all`; costs of at least 0, raw or aggregated.
 
     Returns:
-        float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no
-        n₂.
+        float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is; 1 without an n₂.
 
     >>> osl.confidence(np.array([[[0.4, 0.2, 0.1, 0.2, 0.4]]]))  # n* = 2, n₂ = 0
     tensor([[0.7500]])
@@ -167,13 +166,11 @@ class Depth:
         """Return the photo-consistency of two cameras at the estimated depth: without ground truth.
 
         For each ray, the two cameras whose optical axes are nearest to the point are sampled at the
-        estimated depth and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter
-        little.
+        estimated depth and correlated (ZNCC) over 9 × 9 rays, whatever gain and vignetting.
 
         Returns:
             float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows
-            without texture; NaN where the point is visible to fewer than two cameras, or there is
-            no depth.
+            without texture; NaN where fewer than two cameras see it, or without a depth.
         """
         gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.frame)]
         samples = np.stack(self.sweep.warp(gray, self.index))

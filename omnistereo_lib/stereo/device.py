@@ -54,8 +54,7 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
     Raises:
         OmnistereoError: With the size needed and the size available.
     """
-    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies
-    # that SGM makes.
+    # Bytes per ray, measured: a block of spheres in sweep and cost, the volume, SGM's copies.
     if device.type == "cpu":
         # see `BlockCost.volume`
         more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1

@@ -3,8 +3,7 @@
 Errors of stereo have long tails: one number cannot say both how far two thirds of the rays are off
 and how far nearly all are. So there are two, each the exponential of a weighted sum of a few
 properties of the ray. `python -m workshop error-bars` fits the weights by the pinball loss and
-judges them on frames that it has not fitted; `error_bars.json` holds them, with where they were
-measured.
+judges them on frames that it has not fitted; `error_bars.json` holds them.
 """
 
 from collections.abc import Mapping
@@ -27,8 +26,7 @@ from omnistereo_lib.stereo.threads import map_threads
 
 # Shares of the rays: within σ and within the bound, as of a Gaussian within its σ and its 2 σ.
 WITHIN = (0.683, 0.954)
-# A second surface is told if it has this share of the evidence: one of the two is right in nine of
-# ten.
+# A second surface is told with this share of the evidence: one of the two is right in 9 of 10.
 SECOND_MASS = 0.1
 # Lengths are counted in spheres of a sweep of so many.
 _SPHERES = 96

@@ -88,11 +88,7 @@ class PairNetwork(StoredNetwork, ABC):
     wrap: bool = True
 
     def volume(
-        self,
-        sweep: SphereSweep,
-        frame: Frame,
-        pairs: Sequence[Pair],
-        progress: Progress = silent,
+        self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
         return LearnedCost(self).volume(sweep, frame, pairs, progress)
@@ -118,8 +114,7 @@ class PairNetwork(StoredNetwork, ABC):
 
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
         """Cut feature columns start … stop - 1, around the seam, out of panoramas, with padding."""
-        # Columns are counted around the panorama, so a strip may begin before the seam and end
-        # behind it.
+        # Columns are counted around the panorama: a strip may begin before the seam.
         rows, columns = self.padding
         index = torch.arange(
             self.stride * start - columns, self.stride * stop + columns, device=images.device
@@ -144,8 +139,7 @@ class PairNetwork(StoredNetwork, ABC):
         # then the whole panorama is one strip.
         if stop - start >= total or not self.wrap:
             start, stop = 0, total
-        # A halo goes in with the strip, the network runs, and the columns that it gets wrong are
-        # cut off.
+        # A halo goes in with the strip, and the columns that come out wrong are cut off.
         low, high = self.add_halo(start, stop, self.feature_halo, total)
         maps = self.extract_features(
             self.pad_columns(images.masked_fill(images.isnan(), 0.0), low, high)
@@ -197,8 +191,7 @@ class LearnedCost(BlockCost):
     Args:
         network: Put into channels-last memory; if it is in training mode or on another device than
             the sweep, a copy computes.
-        precision: Of the matrix products; see `choose_precision`. Another one raises an
-            `OmnistereoError`.
+        precision: Of the matrix products; see `choose_precision`.
 
     >>> from omnistereo_lib.stereo.learned import LearnedCost
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
@@ -215,11 +208,7 @@ class LearnedCost(BlockCost):
         self.precision = precision
 
     def volume(
-        self,
-        sweep: SphereSweep,
-        frame: Frame,
-        pairs: Sequence[Pair],
-        progress: Progress = silent,
+        self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         self.network = self.network.ready(sweep.device)
@@ -244,8 +233,8 @@ class LearnedCost(BlockCost):
         # The mean over pairs (Eq. 2): sums of costs and of visibility, divided at the end.
         total = torch.zeros(B, H, W, dtype=torch.float32, device=device)
         count = torch.zeros_like(total)
-        # On a CPU so few spheres at a time that their features stay in the cache of a core; a GPU
-        # has to be filled.
+        # On a CPU so few spheres that their features stay in a core's cache; a GPU has to be
+        # filled.
         spheres = max(1, (1 << 14 if device.type == "cpu" else 1 << 22) // (H * W))
         with autocast(self.precision, device):
             for first in range(0, B, spheres):
@@ -274,9 +263,8 @@ class LearnedCost(BlockCost):
         chunk = 1 << 11 if device.type == "cpu" else 1 << 19
         for i, j in pairs:
             for start, stop in network.shared_strips(columns[i], columns[j], W):
-                # Where both cameras see: NaN in either image makes the sum NaN. Only these pixels
-                # are scored, which cannot change their costs, since the last layers look at one
-                # pixel at a time.
+                # Where both cameras see: NaN in either image makes the sum NaN. To score only these
+                # cannot change their costs: the last layers look at one pixel.
                 strip = (
                     torch.arange(network.stride * start, network.stride * stop, device=device) % W
                 )

@@ -58,8 +58,7 @@ class CostEntry:
     # Those settings of `Method` that change this cost.
     settings: frozenset[str] = frozenset()
     weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
-    # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and
-    # `confidence`.
+    # Raw volume (H, W, N) → index and confidence (H, W), in place of those of lowest costs.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
@@ -99,8 +98,7 @@ class Method:
     """A way from images to sphere indices; the defaults are the paper's, except for the pairs.
 
     Raises:
-        OmnistereoError: If a value is out of range, or is set although the method does not use it:
-            a method has one name.
+        OmnistereoError: If a value is out of range, or set although the method does not use it.
 
     >>> from omnistereo_lib.stereo.methods import Method
     >>> method = Method.parse("zncc+sgm,p1=0.2")
@@ -246,8 +244,7 @@ class Method:
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
-        Raises an `OmnistereoError` if the weights file is missing, damaged, or holds another
-        architecture.
+        Raises an `OmnistereoError` if the weights file is missing, damaged, or of another network.
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 

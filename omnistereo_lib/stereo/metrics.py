@@ -46,8 +46,7 @@ def index_error(
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
-    # A ray without an estimate is as wrong as can be, or a method could leave out what is
-    # difficult.
+    # A ray without an estimate is wrong, or a method could leave out what is difficult.
     error = np.where(np.isnan(error), 100.0, error)
     valid = np.ones(error.shape, bool) if valid is None else np.asarray(valid, bool)
     if valid.shape != error.shape:
@@ -104,8 +103,7 @@ def sparsification(
         return np.full(len(fractions), 0.0 if len(error) else np.nan), np.nan, np.nan
 
     def curve(score: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The mean of the first k errors, for all k at once; then those k that remain after each
-        # fraction.
+        # The mean of the first k errors, for all k at once; then those k that remain.
         ordered = error[np.argsort(-score, kind="stable")]
         means = np.cumsum(ordered) / np.arange(1, len(ordered) + 1)
         return means[np.maximum(np.round((1 - fractions) * len(ordered)).astype(int), 1) - 1]
@@ -123,8 +121,7 @@ def reliability(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the reliability diagram of error bars: what they say against what is found.
 
-    Rays are sorted by their bar and cut into bins of equal count. Bars that are right lie on the
-    diagonal, in every bin.
+    Rays are sorted by their bar and cut into bins of equal count. Right bars lie on the diagonal.
 
     Args:
         error, width: Of each ray, in one unit, such as `depth.inverse_depth - truth` and

@@ -34,8 +34,7 @@ def estimate_depth(
         subindex: Refine the index between spheres, unless the name of the method says, as in
             "zncc,subindex=false".
             False: integer indices, as in the paper.
-        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next
-            part.
+        progress: Called as `progress(done, total, what)`: parts done, in all, and the next.
 
     Raises:
         OmnistereoError: If the inputs do not fit together, no method has that name, there is not

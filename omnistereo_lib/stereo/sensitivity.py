@@ -23,8 +23,7 @@ def inverse_depth_shifts(
         rays: (..., 3), unit length, rig frame at the sweep centre.
         inverse_depth: (...), 1/m.
         centers: (cameras, 3), metres.
-        seen: (cameras, ...), which cameras see the point; the others do not count, and do not move
-            it.
+        seen: (cameras, ...), which cameras see the point; the others do not count.
 
     Returns:
         (cameras, ...); NaN where fewer than two cameras see the point.

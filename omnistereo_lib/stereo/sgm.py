@@ -43,8 +43,7 @@ def sgm(
     """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B).
 
     Args:
-        volume (shape (H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in
-            float32.
+        volume (shape (H, W, N)): Matching cost C, lower is better; NaN is unknown. In float32.
         p1, p2: Penalties for a step of one sphere and for any larger jump, in units of the cost,
             0 ≤ p1 ≤ p2.
         paths: 4 (along rows and columns) or 8 (diagonals as well).
@@ -75,8 +74,7 @@ def sgm(
     >>> int(volume[2, 4].argmin()), int(osl.sgm(volume, p1=0.1, p2=1.0)[2, 4].argmin())
     (0, 3)
     """
-    # Check everything before anything is computed, but for the costs on a CPU: the kernel looks at
-    # them as it goes.
+    # Check everything before it is computed, but for costs on a CPU: the kernel looks at them.
     volume = as_volume(volume).to(torch.float32).contiguous()
     if paths not in (4, 8):
         raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")

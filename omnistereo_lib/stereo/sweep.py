@@ -54,8 +54,7 @@ class SphereSweep:
     quarter of the available memory, are recomputed for every frame.
 
     Args:
-        center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the
-        camera centres.
+        center ((3,), metres): Sweep centre in the rig frame. Default: the mean of the cameras.
         device: Device of tables and warped images: cv2.remap on "cpu", grid_sample elsewhere.
 
     Raises:
@@ -63,8 +62,7 @@ class SphereSweep:
             memory cannot hold a cost volume of the grid, or if there is no such device.
 
     Attributes:
-        rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the
-            paper.
+        rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ*.
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65))
@@ -109,8 +107,7 @@ class SphereSweep:
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> "SphereSweep":
         """Return a sweep of the same cameras with other poses, around their mean centre.
 
-        Cameras that stay where they are share their tables: to rotate one of them costs one
-        camera's tables.
+        Cameras that stay where they are share their tables.
         """
         other = copy(self)
         other.rig = self.rig.with_poses(T_rig_cam).recentered()
@@ -172,8 +169,7 @@ class SphereSweep:
             index (float or array of shape (H, W)): As in `project_sphere`.
 
         Returns:
-            list of arrays, shape (H, W) or (H, W, 3), float32: NaN where the ray is not visible to
-            the camera.
+            list of arrays, shape (H, W) or (H, W, 3), float32: NaN where unseen.
         """
         warped = []
         for camera, image in enumerate(Frame.of(self.rig, images).images):
@@ -207,21 +203,18 @@ class SphereSweep:
             list of float32 tensors, shape (height, width)
 
         Raises:
-            OmnistereoError: If there is not one image per camera, or one has the wrong size or is
-                not finite.
+            OmnistereoError: If there is not one image per camera, or of a wrong size or not finite.
         """
 
         def normalize(gray: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
             sigma, inside, weight = blurring
-            # Within the image circle: the black around it stays out. Both the gray values times the
-            # mask and the mask itself are blurred, and their quotient is a mean over visible pixels
-            # alone.
+            # Within the image circle: gray values times the mask, and the mask itself, are blurred;
+            # their quotient is a mean over visible pixels alone.
             if sigma:
                 gray = blur(gray * inside, sigma)
                 gray /= weight
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
-            # Zero mean and unit variance. The subtraction is not in place: it may be the caller's
-            # image.
+            # Zero mean and unit variance; not in place, since it may be the caller's image.
             gray = gray - np.float32(mean)
             gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
             return torch.from_numpy(gray).to(self.device)
@@ -233,8 +226,7 @@ class SphereSweep:
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
         N = self.grid.num_spheres
-        # The spheres of a block follow each other in one row of cv2.remap's output, so W · B is
-        # limited.
+        # The spheres of a block share one row of cv2.remap's output, so W · B is limited.
         block = max(1, min(BLOCK, _MAX_SIDE // self.grid.width))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 

@@ -16,16 +16,13 @@ from omnistereo_lib.stereo.learned import PairNetwork, full_precision
 class SweepNet(PairNetwork):
     """The network of the paper (Table I): two spherical images → cost map, 0 = match, 1 = no match.
 
-    757,729 parameters. A cost depends on the 81 × 81 pixels around it: 24° at W = 1200, 91° at W =
-    320.
+    757,729 parameters. A cost depends on the 81 × 81 pixels around it: 24° at 1200, 91° at 320.
 
     Args:
         batch_norm: Batch normalisation after every layer except the last, for training. Table I has
-            none, the authors' released code has it. `fuse_batch_norm` removes it from a trained
-            network.
+            none, the authors' released code has it. `fuse_batch_norm` removes it.
         wrap: True: every layer continues around the ±180° seam. False: as Table I prints, circular
-            columns only for the input and zeros in the layers behind it, which makes the seam
-            visible.
+            columns only for the input and zeros behind it: the seam shows.
 
     >>> sum(parameter.numel() for parameter in osl.SweepNet().parameters())
     757729
@@ -88,8 +85,7 @@ class SweepNet(PairNetwork):
                 variance (`SphereSweep.normalize_images`), 0 where unseen.
 
         Returns:
-            tensor, shape (B, H, W): Cost in [0, 1], 0 = match; with `wrap` the panorama is circular
-            in θ.
+            tensor, shape (B, H, W): Cost in [0, 1], 0 = match; with `wrap` circular in θ.
         """
         H, W = left.shape[1:]
         self.check_size(H, W)

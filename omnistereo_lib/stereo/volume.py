@@ -27,11 +27,9 @@ def cost_volume(
 
     Args:
         images: A frame, or one array per camera, (height, width) or (height, width, 3).
-        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default:
-            `ZNCC`.
+        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own. Default: `ZNCC`.
         pairs: See `camera_pairs`. `VolumeNet` compares all cameras, whatever they are.
-        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next
-            part.
+        progress: Called as `progress(done, total, what)`: parts done, in all, and the next.
 
     Returns:
         float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN

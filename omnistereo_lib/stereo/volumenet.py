@@ -12,8 +12,7 @@ ICCV 2019; GwcNet, CVPR 2019)::
     read-out     a probability for each sphere of a ray; the index is the mean around the most
                  probable one
 
-Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels even for
-one frame in float32.
+Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,20 +77,18 @@ class FeatureNet(nn.Module):
         """Return the feature maps of one image.
 
         Args:
-            image: tensor, shape (h, w), zero mean and unit variance over the visible pixels, 0
-                elsewhere
+            image: tensor, shape (h, w), zero mean and unit variance where visible, 0 elsewhere
             visible: bool tensor of the same shape
 
         Returns:
-            tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel
-            (2x, 2y).
+            tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is image pixel (2x, 2y).
         """
         # (h, w) → (1, 32, h / 2, w / 2)
         x = self.blocks(relu(self.first(image[None, None]), inplace=True))
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
-        # Over the visible pixels, each channel gets zero mean and each group of channels unit
-        # variance. So features stay small where there is little texture, and cannot correlate by
-        # their noise.
+        # Over the visible pixels, each channel gets zero mean, each group of channels unit
+        # variance. So features stay small, and do not correlate by noise, where there is little
+        # texture.
         count = visible.sum().clamp(min=1)
         maps = (maps - (maps * visible).sum((1, 2), keepdim=True) / count) * visible
         power = (maps.square().sum((1, 2)) / count).view(GROUPS, -1).mean(1)
@@ -164,9 +161,8 @@ class VolumeNet(StoredNetwork):
 
     def __init__(self) -> None:
         super().__init__()
-        # The stem takes eight correlations and the share of cameras; each step down halves all
-        # three sides; each step up adds the level of the same size; the head leaves one logit per
-        # cell.
+        # The stem takes eight correlations and the share of cameras; a step down halves all three
+        # sides, a step up adds the level of its size; the head leaves one logit per cell.
         self.features = FeatureNet()
         self.stem = nn.Sequential(Conv3d(GROUPS + 1, WIDTHS[0]), Conv3d(WIDTHS[0], WIDTHS[0]))
         steps = list(pairwise(WIDTHS))
@@ -249,8 +245,7 @@ class VolumeNet(StoredNetwork):
     ) -> Tensor:
         """Return the correlation volume of a frame at a size; keep masks and coordinates.
 
-        `step` is called with the name of each part before it begins: the tables, each camera, the
-        correlation.
+        `step` is called with the name of each part before it begins.
         """
         small, device = frame.reduced(pixels_per_degree(size)), sweep.device
         rig = replace(sweep.rig, cameras=small.rig.cameras)

@@ -112,8 +112,7 @@ def save_tensors(
     The file header holds the metadata under "about", beside a checksum of the tensors.
 
     Raises:
-        OmnistereoError: If a tensor is not finite or the file cannot be written; an earlier file
-            stays.
+        OmnistereoError: If a tensor is not finite or the file cannot be written.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     _check_finite(path, tensors)

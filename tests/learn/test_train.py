@@ -96,16 +96,7 @@ def command(data, out, *settings, network="sweepnet"):
     recipe = {"sweepnet": SWEEPNET, "mccnn": MCCNN}[network]
     usual = RECIPES[network]["teaching"].as_dict()
     tiny = [f"{name}={value}" for name, value in recipe.as_dict().items() if value != usual[name]]
-    verb = [
-        "-m",
-        "omnistereo_tools",
-        "train",
-        network,
-        "--data",
-        data,
-        "--out",
-        out,
-    ]
+    verb = ["-m", "omnistereo_tools", "train", network, "--data", data, "--out", out]
     return [str(word) for word in [*verb, "--set", *tiny, *settings]]
 
 

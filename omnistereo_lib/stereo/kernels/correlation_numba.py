@@ -30,8 +30,7 @@ class _CellCorrelation(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
         """Return the cells (cells, 9), given features (h, w, 32) and places (cameras, cells, 2)."""
-        # All feature maps in one table, one pixel a row; Σ f_i is kept only if a gradient will be
-        # asked for.
+        # All feature maps in one table, one pixel a row; Σ f_i is kept for a gradient alone.
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
         volume = torch.empty(uv.shape[1], GROUPS + 1, dtype=torch.float32)

@@ -117,8 +117,7 @@ def _add_cost(
     """Extend a path by one pixel, L = C + M; return min L. path is (N + 2,), its ends infinite."""
     lowest = INFINITY
     for n in range(cost.size):
-        # L_r(p, n) = C(p, n) + M(n), where M comes from the pixel before on the path (Hirschmüller
-        # 2008).
+        # L_r(p, n) = C(p, n) + M(n), M from the pixel before (Hirschmüller 2008).
         c = cost[n] if cost[n] == cost[n] else fill
         path[n + 1] = c + message[n]
         lowest = minimum(lowest, path[n + 1])
@@ -163,9 +162,8 @@ def _scan_row(
     W, N = cost.shape
     message = np.zeros(N, np.float32)
     path = np.full(N + 2, INFINITY)
-    # Around the panorama a path has no beginning. The first lap starts from nothing, each further
-    # one from the end of the one before, until a pixel's costs repeat: all after it would repeat,
-    # too.
+    # Around the panorama a path has no beginning. The first lap starts from nothing, each other one
+    # from the end of the last, until a pixel's costs repeat: so would all after it.
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
             x = W - 1 - i if leftward else i
@@ -223,8 +221,7 @@ def _advance(
             x = column % W
             # 0: straight on, 1: to the right, 2: to the left
             for k in range(3 if diagonals else 1):
-                # The scanline that crosses column x in this row began at column x, x - step or x +
-                # step.
+                # The scanline that crosses column x here began at column x, x - step or x + step.
                 line = (x + (0, -step, step)[k]) % W
                 message = messages[int(up), k, line]
                 if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):

@@ -43,8 +43,7 @@ def _read_rays(volume: NDArray[Any], subindex: bool, out: NDArray[Any]) -> None:
                 continue
             out[0, y, x] = best
             out[1, y, x] = one - first / second if second > 0 else 0
-            # The vertex of the parabola; a NaN beside the best sphere makes `bend` NaN, which is
-            # not > 0.
+            # The vertex of the parabola; beside a NaN `bend` is NaN, which is not > 0.
             if subindex and 0 < best < N - 1:
                 # It lies (left - right) / (2 (left - 2 first + right)) beside the best sphere.
                 left, right = cost[best - 1], cost[best + 1]

@@ -52,8 +52,7 @@ def mean_costs(
     return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
 
 
-# One row at a time; the compiler vectorises the flat loops, in which the spheres of a pixel are
-# neighbours.
+# One row at a time; the compiler vectorises flat loops, a pixel's spheres side by side.
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -64,8 +63,7 @@ def _mean_costs(
 
     Args:
         images: shape (cameras, H, W · lanes)
-        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each so that they
-            fit the cache
+        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each
     """
     count = np.zeros(cost.shape, np.float32)
     cost[:] = 0
@@ -96,15 +94,13 @@ def _add_costs(
     W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
     # The rows of the window and the one before it, each with its weights, a and b.
     ring = np.zeros((window + 1, 3, padded), np.float32)
-    # Sums over the rows of the window, of 1, a, b, a², b² and ab; `box` has them over its columns
-    # as well.
+    # Sums over the window's rows, of 1, a, b, a², b² and ab; `box` has them over columns, too.
     sums = np.zeros((6, padded))
     box = np.empty((6, width * _LANES))
     # A row of weights and of weighted costs.
     pair = np.empty((2, width * _LANES), np.float32)
     first = (start - radius) % W * _LANES
-    # Row y of the costs needs the rows up to y + radius: the first windows fill before the first
-    # row is written.
+    # Row y needs the rows up to y + radius: windows fill before the first row is written.
     for y in range(-2 * radius, len(total)):
         # Slide down: the new row comes in, the one above the window goes out.
         row = y + radius
@@ -159,8 +155,7 @@ def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
 @numba.njit
 def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
     """Write the sums over the columns of the window to box."""
-    # The first window is summed in full; each further one gains the column ahead and loses the one
-    # behind.
+    # The first window is summed in full; each other gains the column ahead, loses the one behind.
     box[:_LANES] = 0
     for x in range(window):
         for k in range(_LANES):
