@@ -72,8 +72,11 @@ def config_cameras(data: Section, path: Path) -> list[Section]:
             name, values = cam.require("camera_model_name"), cam.floats("camera_params").tolist()
             stated = {"camera_model_name": name, "camera_params": values}
             same = [lens for lens in listed if stated.items() <= lens.items()]
-            if not same:
-                raise OmnistereoError(f"its camera_params are not in {file.name}. Correct one")
+            if len({(lens["width"], lens["height"]) for lens in same}) != 1:
+                raise OmnistereoError(
+                    f"its camera_params are not in {file.name}, or there in several sizes. Correct "
+                    "one"
+                )
             cam.values |= same[0] | (_IDENTITY if cam.get("ref_sensor") else {})
     return cams
 
