@@ -47,7 +47,7 @@ PROGRAMS = {
     "blender": ("blender", "bpy==5.0.1", "3.11"),
     "nerfstudio": (
         "nerfstudio",  # its reader, which needs no GPU
-        "nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
+        "open3d==0.20.0; nerfstudio==1.1.5 jaxtyping==0.3.11 wadler_lindig==0.1.8 tyro==1.0.17 "
         "typeguard==4.6.1 docstring_parser==0.18.0 rich==15.0.0 viser==1.1.1 msgspec==0.22.0 "
         "websockets==17.4 zstandard==0.25.0 tensorboard==2.21.0 absl-py==2.5.1 --no-deps",
         "ours",
@@ -157,8 +157,10 @@ def make_files(folder: Path) -> Path:
     volume = cost_volume(SphereSweep(rig, grid), frame.images, network)
     result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
     result.write(folder)
-    result.export(folder / "scene.glb", folder / "whole.tiff")
     cloud = result._cloud
+    result.export(folder / "scene.glb", folder / "whole.tiff", folder / "crops")
+    result.export(folder / "scene.ply")
+    cloud.write(folder / "points_z.ply", "z")
     count = 60
     places = random.normal(size=(count, 3)).astype(np.float32)
     surface = Surface(
@@ -188,7 +190,7 @@ def make_files(folder: Path) -> Path:
         pixels=pixels.reshape(-1, 2)[chosen],
         rays=rays.reshape(-1, 3)[chosen],
         mask=within,
-        rotation1=rig.T_rig_cam[0].R,
+        poses=np.array([np.column_stack([pose.R, pose.t]) for pose in rig.T_rig_cam]),
         pose2=np.column_stack([second.R, second.t]),
         depth=depth.depth,
         whole=equirectangular_depth(depth),

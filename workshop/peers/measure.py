@@ -395,9 +395,15 @@ def of_open3d(folder, truth):
         np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max(),
         1e-6,
     )
+    turned = np.asarray(open3d.io.read_point_cloud(str(folder / "points_z.ply")).points)
+    x, y, z = truth["points"].T
+    off = np.abs(turned - np.column_stack([z, -x, -y])).max()
+    file("points.ply, --up z", name, "metres", off, 1e-6)
     depth = np.asarray(open3d.io.read_image(str(folder / "data/depth_mm.png"))) / 1000
     off = np.abs(depth - truth["depth"])[truth["near"]].max()
     file("depth_mm.png", name, "metres", off, 0.00051)
+    scene = np.asarray(open3d.io.read_triangle_mesh(str(folder / "scene.ply")).vertices)
+    file("--mesh a.ply", name, "metres", np.abs(scene - truth["scene"]).max(), 1e-5)
     mesh = open3d.io.read_triangle_mesh(str(folder / "mesh.ply"))
     file(
         "mesh.ply",
@@ -656,24 +662,29 @@ def of_nerfstudio(folder, truth):
         return
     name = "nerfstudio 1.1.5"
 
-    config = nerfstudio_dataparser.NerfstudioDataParserConfig(
-        data=folder / "transforms.json",
-        orientation_method="none",
-        center_method="none",
-        auto_scale_poses=False,
-        eval_mode="all",
-    )
-    cameras = config.setup().get_dataparser_outputs("train").cameras
+    def parsed(path):
+        config = nerfstudio_dataparser.NerfstudioDataParserConfig(
+            data=folder / path,
+            orientation_method="none",
+            center_method="none",
+            auto_scale_poses=False,
+            eval_mode="all",
+            load_3D_points=path == "crops",
+        )
+        return config.setup().get_dataparser_outputs("train")
+
     u, v = truth["pixels"].astype(int).T
-    found = cameras.generate_rays(0).directions.numpy()[v, u]  # in the axes of the rig
-    cosine = (found * (truth["rays"] @ truth["rotation1"].T)).sum(1).clip(-1, 1)
-    file(
-        "transforms.json",
-        name,
-        "rays within 85°, degrees",
-        np.degrees(np.arccos(cosine)).max(),
-        0.03,
-    )
+    rays = parsed("transforms.json").cameras.generate_rays(0).directions.numpy()[v, u]
+    cosine = (rays * (truth["rays"] @ truth["poses"][0][:, :3].T)).sum(1).clip(-1, 1)
+    off = np.degrees(np.arccos(cosine)).max()
+    file("transforms.json", name, "rays within 85°, degrees", off, 0.03)
+    crops, y_up = parsed("crops"), np.diag([1.0, -1, -1])
+    of_camera = np.array([int(path.stem[0]) - 1 for path in crops.image_filenames])
+    places = crops.cameras.camera_to_worlds[:, :, 3].numpy() @ y_up
+    off = np.abs(places - truth["poses"][of_camera, :, 3]).max()
+    file("crops/", name, "places of the cameras, metres", off, 1e-6)
+    off = np.abs(crops.metadata["points3D_xyz"].numpy() @ y_up - truth["points"]).max()
+    file("crops/", name, "points that splats start from, metres", off, 1e-6)
 
 
 if __name__ == "__main__":
