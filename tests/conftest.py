@@ -63,6 +63,17 @@ def small(monkeypatch):
     make_small(monkeypatch.setattr)
 
 
+@pytest.fixture(scope="session")
+def pycolmap():
+    """COLMAP's module, installed apart: behind what is here, so that NumPy stays ours."""
+    from workshop.peers import __main__ as peers
+
+    found = peers.install("pycolmap")
+    sys.path.append(str(found and found[1]))
+    yield pytest.importorskip("pycolmap", exc_type=ImportError)
+    sys.path.pop()
+
+
 @pytest.fixture(scope="module")
 def chromium():
     sync_api = pytest.importorskip(

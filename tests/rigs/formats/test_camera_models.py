@@ -175,8 +175,7 @@ THEIRS = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", THEIRS)
-def test_models_against_colmap_itself(name):
-    pycolmap = pytest.importorskip("pycolmap")
+def test_models_against_colmap_itself(name, pycolmap):
     theirs = pycolmap.Camera(model=name, width=800, height=760, params=THEIRS[name])
     model, names = MODELS[name.lower()][0], MODELS[name.lower()][1]["camera_params"]
     stated = dict(zip(names, THEIRS[name], strict=True))

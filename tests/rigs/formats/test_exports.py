@@ -80,8 +80,7 @@ def test_the_folder_for_colmap(exported):
 
 
 @pytest.mark.nightly
-def test_colmap_reads_its_folder(exported):
-    pycolmap = pytest.importorskip("pycolmap")
+def test_colmap_reads_its_folder(exported, pycolmap):
     rig, folder, residual = exported
     model = pycolmap.Reconstruction(str(folder / "colmap"))
     (config,) = pycolmap.read_rig_config(str(folder / "colmap" / "rig_config.json"))
