@@ -3,7 +3,5 @@ III-A).
 
 In the order of a calibration: `captures` (files), `board`, `detect` (corners), `init` (initial
 estimate), `params` and `bundle` (the least-squares problem), `solution`, `single_camera` and
-`joint` (`calibrate_camera`, `calibrate_rig`), `report`. Without a board: `features`,
-`relative_pose`, `track_bundle`, `patches`, `from_images` (`measure_rig`), `watch` (has a camera
-moved?).
+`joint` (`calibrate_camera`, `calibrate_rig`), `report`.
 """

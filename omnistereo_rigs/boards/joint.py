@@ -60,12 +60,9 @@ def calibrate_rig(
     Args:
         views: views[camera][capture]: an image, or the corners detected in one, (K, 2) px; None if
             a camera has none.
-        image_sizes: Width and height for each camera, pixels; required if the views are corners.
-        degree: Degree of the polynomials, at least 4. None: the highest that cross-validation
-            chooses for a camera.
-        max_fov_deg: Full field of view of the cameras. None: as far as each has corners.
-        progress: Called as `progress(done, total, what)` during detection, with the images of each
-            camera in turn.
+        board, progress: As for `calibrate_camera`.
+        image_sizes, degree, max_fov_deg: As there, sizes for each camera; the degree is the highest
+            that is chosen for a camera.
         names: What messages call the captures. None: their indices.
         cameras: Given intrinsics, one camera each: they stay as they are, and only the poses are
             found.
