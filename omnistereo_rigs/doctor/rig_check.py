@@ -24,7 +24,12 @@ from omnistereo_rigs.doctor.one_camera import fitted_share, free_focal_lengths, 
 from omnistereo_rigs.doctor.pictures import picture_mixups
 from omnistereo_rigs.images.from_images import MeasuredRig, chain_poses, measure_rig, relative_poses
 from omnistereo_rigs.images.relative_pose import RelativePose
-from omnistereo_rigs.images.track_bundle import mean_baseline, moved_rig, pose_differences
+from omnistereo_rigs.images.track_bundle import (
+    by_moving,
+    mean_baseline,
+    pose_differences,
+    whitening,
+)
 
 # These decide between hypotheses by their scores. They were set while looking at planted mistakes
 # of seeds below 50, see workshop/results/planted_mistakes.py; the book reports the seeds from 50
@@ -39,7 +44,7 @@ _FREED, _LENS = 0.08, 0.04
 _FEW = 15
 # Of the matches of each camera: if the rig explains such a share, nothing else is looked for.
 _SHOWS_ALL = 0.45
-# A focal length that is right fits at least so many times the share of the others' matches.
+# A pose or a focal length that is right fits at least so many times the others' share of matches.
 _AS_WELL = 0.5
 # A camera that shows something else fits at most so many times the share of the others' matches.
 _ALIEN = 0.3
@@ -59,8 +64,6 @@ _LATE_SHARE = 0.3
 _TOGETHER = 1e-9
 # If file and images differ by less, the measurement begins at the poses of the file.
 _NEAR_DEG = 1.0
-# A rotation, a shift and a scale of all cameras cannot be seen: so many directions are left out.
-_GAUGE = 7
 _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
 
@@ -210,7 +213,7 @@ def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
             yield _Hypothesis("poses mixed up", score, 0.04 * found.parts + 0.03, fixed, (), said)
     for freed in free_poses(evidence, rig, pairs)[:1]:
         mine, others = fitted_share(evidence, freed.rig, freed.cameras)
-        if mine < _ALIEN * others or freed.score < _FEW * len(rig):
+        if mine < _AS_WELL * others or freed.score < _FEW * len(rig):
             continue
         yield _Hypothesis("turned or moved", freed.score, _FREED, freed.rig, freed.cameras)
     for freed in free_focal_lengths(evidence, rig)[:1]:
@@ -413,11 +416,8 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
     since a common rotation, shift and scale are taken away, but freeing the culprit leaves nothing
     over.
     """
-    # Whitened differences z: along the eigenvectors of the covariance, each over its deviation. The
-    # covariance has seven eigenvalues of 0, the gauge, which come first and are left out. If the
-    # rig is right, z · z is χ² distributed.
-    values, vectors = np.linalg.eigh(measured.covariance)
-    white = (vectors[:, _GAUGE:] / np.sqrt(values[_GAUGE:])).T
+    # If the rig is right, the sum of the squares of its whitened differences is χ² distributed.
+    white = whitening(measured.covariance)
     z = white @ differences.ravel()
     total = float(z @ z)
     if total < chi2.isf(_BY_CHANCE, len(z)):
@@ -425,7 +425,7 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
     count = len(rig)
     # Greedily: free the camera whose free pose leaves least of χ², until chance or a tenth of it is
     # left.
-    J = [white @ _by_moving(rig, k) for k in range(count)]
+    J = [white @ by_moving(rig, k) for k in range(count)]
     chosen: list[int] = []
     while len(chosen) < max(1, (count - 1) // 2) or count == 2:
         left = {}
@@ -440,19 +440,6 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
         ):
             return tuple(sorted(chosen))
     return tuple(range(count))
-
-
-def _by_moving(rig: Rig, camera: int) -> Floats:
-    """Return the derivative (6 · cameras, 6) of `pose_differences` by the turn and the shift of one
-    camera.
-    """
-    step = 1e-5
-    columns = []
-    for axis in range(6):
-        change = np.zeros((len(rig), 6))
-        change[camera, axis] = step
-        columns.append(pose_differences(moved_rig(rig, change), rig).ravel() / step)
-    return np.stack(columns, axis=1)
 
 
 def _put_right(rig: Rig, found: Rig, accused: Sequence[int]) -> dict[int, Pose]:

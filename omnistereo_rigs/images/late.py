@@ -20,7 +20,7 @@ from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_rigs.boards.bundle import cross
 from omnistereo_rigs.images.features import FeatureFinder, Features, match_features
-from omnistereo_rigs.images.relative_pose import depths, epipolar_residuals
+from omnistereo_rigs.images.relative_pose import depths, epipolar_residuals, relative_pose
 
 # So many frames in a row are looked at, and shifts up to this one are tried.
 FRAMES, REACH = 8, 5
@@ -28,6 +28,8 @@ FRAMES, REACH = 8, 5
 _NEAR = np.radians(0.3)
 # Finer than a frame, shifts are tried in tenths of the way from one frame to the next.
 _PARTS = np.arange(10) / 10
+# In frames: as far to either side of the best shift, others are as good for its sake.
+_PEAK = 1.5
 # In frames: cameras that differ by less are equally late, and pairs whose shifts differ by less
 # agree.
 _SAME = 0.25
@@ -38,9 +40,9 @@ class Lateness:
     """How late each camera is, and how well the images show it."""
 
     frames: tuple[float, ...]  #: against most of the cameras
-    gain: float  #: matches near the epipolar planes, by those that there are if none is late
-    clear: float  #: those of a pair of cameras by those of the next best shift, the least of all
-    matches: float  #: near the epipolar planes, mean over pairs of cameras and frames
+    gain: float  #: matches near the epipolar planes, of pairs that differ, by those if none did
+    clear: float  #: those of a pair by those of the next best shift, of the worst pair needed
+    matches: float  #: those of a pair, mean over the frames, of the worst pair needed
 
 
 class LateCameras:
@@ -54,12 +56,12 @@ class LateCameras:
     def __init__(self, rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> None:
         self.rig, self.images, self.cameras, T = rig, images, len(rig), rig.T_rig_cam
         self.pairs = list(combinations(range(len(rig)), 2))
-        self._finders = [FeatureFinder(camera) for camera in rig.cameras]
         self._T = {(i, j): T[j].inverse() @ T[i] for i, j in self.pairs}
         # Each is asked for many times.
         self._features: Callable[[int, int], Features] = cache(self.features)
         self._rays = cache(self.rays)
         self._next = cache(self.next)
+        self._finder = cache(lambda camera: FeatureFinder(rig.cameras[camera]))
 
     def find(self, reach: int = REACH, fine: bool = False) -> Lateness:
         """Return by how many frames each camera is late.
@@ -68,7 +70,8 @@ class LateCameras:
             reach: Of the shifts that are tried, frames.
             fine: In tenths of a frame: between frames, what is seen is taken to move evenly.
         """
-        reach = min(reach, len(self.images) - 1)
+        # Two moments at least are compared at each shift.
+        reach = min(reach, max(len(self.images) - 2 - fine, 1))
         parts = _PARTS if fine else _PARTS[:1]
         # All shifts that are tried, and for each pair of cameras the matches near the planes at
         # each shift.
@@ -77,18 +80,17 @@ class LateCameras:
         cost, shift = np.zeros((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         clear, weight = np.ones((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         for (i, j), found in score.items():
-            # The second best is looked for a frame away or farther: the neighbours of a peak are
-            # the same peak.
-            best = found.max()
-            second = found[np.abs(shifts - shifts[found.argmax()]) > 0.9].max(initial=0.0)
+            # The second best is looked for elsewhere: the neighbours of a peak are the same peak.
+            best, away = found.max(), np.abs(shifts - shifts[found.argmax()])
+            second = found[away > min(_PEAK, reach - 0.1)].max(initial=0.0)
             # The middle of the peak, where several tenths of a frame are about as good.
-            top = (found > 0.9 * best) & (np.abs(shifts - shifts[found.argmax()]) < 0.5)
+            top = (found >= 0.9 * best) & (away < 0.5)
             shift[i, j] = np.average(shifts[top], weights=found[top] + 1e-9)
             shift[j, i] = -shift[i, j]
             # The clearer a pair shows its shift, the sooner the tree takes it.
             cost[i, j] = 1 / max(best - second, 1e-3)
             clear[i, j] = clear[j, i] = best / max(second, 0.5)
-            weight[i, j] = best
+            weight[i, j] = weight[j, i] = best
         # Along the tree of the clearest pairs, each camera is as late as its parent plus their
         # shift.
         tree = minimum_spanning_tree(cost)
@@ -101,16 +103,20 @@ class LateCameras:
         alike = np.abs(late - late[:, None]) < _SAME
         late = late - np.mean(late[alike[alike.sum(axis=1).argmax()]])
 
-        def total(late: Floats) -> float:
-            at = [(score[i, j], late[j] - late[i]) for i, j in self.pairs]
-            seen = [one[np.abs(shifts - k).argmin()] for one, k in at if abs(k) <= reach]
-            return float(np.mean(seen or [0.0]))
-
-        # How much is gained against taking all cameras for on time, and the least clear pair of the
-        # tree.
-        now, least = total(late), min(clear[parent[camera], camera] for camera in order[1:])
-        gain = now / max(total(np.zeros(self.cameras)), 0.5)
-        return Lateness(tuple(late.round(2).tolist()), gain, float(least), now)
+        # How much the pairs of which one is late gain by that, and the worst of the tree.
+        gain, apart = 1.0, late - late[:, None]
+        moved = [pair for pair in self.pairs if abs(apart[pair]) > _SAME]
+        if moved:
+            there, at_zero = (
+                sum(score[pair][np.abs(shifts - k * apart[pair]).argmin()] for pair in moved)
+                for k in (1, 0)
+            )
+            gain = float(there / max(at_zero, 0.5))
+        of_tree = [
+            float(min(table[parent[camera], camera] for camera in order[1:]))
+            for table in (clear, weight)
+        ]
+        return Lateness(tuple(late.round(2).tolist()), gain, *of_tree)
 
     def moved(self, late: Sequence[int]) -> LateCameras:
         """Return the same look with each camera's frames moved by how late it is."""
@@ -136,8 +142,10 @@ class LateCameras:
         count, scores = len(self.images), []
         for shift in range(-reach, reach + 1):
             # Only moments for which both cameras have a frame can be compared.
-            slots = range(max(0, -shift), min(count, count - shift))
-            scores.append(np.mean([self.counts(pair, t, t + shift, len(parts)) for t in slots], 0))
+            last = count - (len(parts) > 1)  # between frames, the next one is looked at, too
+            slots = range(max(0, -shift), min(count, last - shift))
+            found = [self.counts(pair, t, t + shift, len(parts)) for t in slots]
+            scores.append(np.mean(found, axis=0) if found else np.zeros(len(parts)))
         return np.concatenate(scores)
 
     def counts(self, pair: tuple[int, int], t: int, u: int, parts: int) -> Floats:
@@ -145,7 +153,6 @@ class LateCameras:
         x, y, later = self._rays(pair, t, u, parts > 1)
         counts = np.zeros(parts)
         for k in range(parts):
-            # Between two frames a ray is taken to move straight from one to the next.
             there = y + _PARTS[k] * (later - y)
             there = there / np.linalg.norm(there, axis=1, keepdims=True)
             counts[k] = near_planes(self._T[pair], x, there).sum()
@@ -154,7 +161,7 @@ class LateCameras:
     def rays(
         self, pair: tuple[int, int], t: int, u: int, follow: bool
     ) -> tuple[Floats, Floats, Floats]:
-        """Return matched rays of two images, (M, 3) each, and those of the second a frame on."""
+        """Return matched rays of two images, (M, 3) each, and the second's a frame on: `next`."""
         a, b = self._features(t, pair[0]), self._features(u, pair[1])
         matches = match_features(a, b)[0]
         # A feature that is lost in the next frame is left out at every part, so that the counts
@@ -164,19 +171,31 @@ class LateCameras:
         return a.rays[kept[:, 0]], b.rays[kept[:, 1]], later[kept[:, 1]]
 
     def next(self, frame: int, camera: int) -> Floats:
-        """Return where the features of an image are in the next frame, NaN where not known."""
+        """Return where the points of the features of an image are in the next frame, (K, 3).
+
+        In units of their distance now, so that they move straight; NaN where not known.
+        """
         a = self._features(frame, camera)
         moved = np.full_like(a.rays, np.nan)
-        if frame + 1 == len(self.images):
-            return a.rays
         b = self._features(frame + 1, camera)
-        matches = match_features(a, b)[0]
-        moved[matches[:, 0]] = b.rays[matches[:, 1]]
+        matches, ratio = match_features(a, b)
+        i, j = matches.T
+        found = relative_pose(a.rays[i], b.rays[j], ratio)
+        if found is None or not found.believable:
+            return moved
+        near = near_planes(found.T_b_a, a.rays[i], b.rays[j])
+        i, j, T = i[near], j[near], found.T_b_a
+        # A point at d x in the first frame is at d R x + t = d' y in the second. The cross products
+        # with t leave d (R x × t) = d' (y × t).
+        now, then = (
+            np.linalg.norm(np.cross(r, T.t), axis=1) for r in (a.rays[i] @ T.R.T, b.rays[j])
+        )
+        moved[i] = (now / np.maximum(then, 1e-9)).clip(0.2, 5.0)[:, None] * b.rays[j]
         return moved
 
     def features(self, frame: int, camera: int) -> Features:
         """Return the features of an image."""
-        return self._finders[camera].find(self.images[frame][camera])
+        return self._finder(camera).find(self.images[frame][camera])
 
 
 def near_planes(T_b_a: Pose, x: Floats, y: Floats) -> NDArray[np.bool_]:

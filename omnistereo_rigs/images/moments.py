@@ -18,8 +18,10 @@ _YEARS = 10**9, 42 * 10**8  # seconds since 1970 that are taken for a time: 2001
 _EVEN = 0.2  # of the median step, within which a step counts as even
 _UNITS = {10: SECOND, 13: 10**6, 16: 1000, 19: 1}  # digits of a time since 1970 → ns
 _DATE = (
-    r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_.T ]{0,3}(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)"
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[-_.T ]{0,3}| at )"
+    r"(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)"
 )
+_DAY = 24 * 3600  # seconds
 COPY = re.compile(r" ?\((\d+)\)$")  # what browsers and file managers append to a name that is taken
 
 
@@ -105,6 +107,7 @@ def _read_times(names: Sequence[str]) -> _Reading | None:
         (r"(?<!\d)([1-9]\d{9}(?:\d{3}){0,3})(?!\d)", _of_epochs),
         (r"(?<![\d.])(\d{1,9})(\.)(\d{1,9})(?![\d.])", _of_running_seconds),
         (r"(?<!\d)(\d{1,9})(_)(\d{9})(?!\d)", _of_running_seconds),
+        (r"(?<!\d)(\d\d?)[-_.:h](\d\d)[-_.:m](\d\d)(?!\d)", _of_day),
     ]
     for pattern, read in kinds:
         found = [match for name in names if (match := re.search(pattern, name))]
@@ -144,6 +147,19 @@ def _of_epochs(found: list[re.Match[str]]) -> list[int] | None:
     """Return the times of integers whose digits say in which unit they count since 1970."""
     values = [int(match[1]) * _UNITS[len(match[1])] for match in found]
     return values if all(_YEARS[0] <= v // SECOND < _YEARS[1] for v in values) else None
+
+
+def _of_day(found: list[re.Match[str]]) -> list[int] | None:
+    """Return the times of hours, minutes and seconds, which may pass midnight.
+
+    None if only the last number counts on: the others may tell the camera.
+    """
+    parts = [tuple(map(int, match.groups())) for match in found]
+    if any(h > 23 or m > 59 or s > 59 for h, m, s in parts) or len({p[:2] for p in parts}) == 1:
+        return None
+    seconds = [3600 * h + 60 * m + s for h, m, s in parts]
+    passes = max(seconds) - min(seconds) > _DAY // 2
+    return [SECOND * (time + _DAY * (passes and time < _DAY // 2)) for time in seconds]
 
 
 def _of_running_seconds(found: list[re.Match[str]]) -> list[int] | None:

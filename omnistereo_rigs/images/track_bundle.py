@@ -32,6 +32,8 @@ from omnistereo_rigs.images.features import Tracks
 _LENS = 3
 # The prior of a free lens: how far off each correction is likely to be (one standard deviation).
 _LENS_PRIOR = np.array([3.0, 3.0, 0.01])
+# A rotation, a shift and a scale of all cameras cannot be seen.
+_GAUGE = 7
 # The step, in radians, of the central differences through a camera model.
 _STEP = 1e-4
 # Points of one cell of this size share their errors: see `covariance`.
@@ -331,11 +333,11 @@ class TrackBundle:
         """
         # A common rotation ω moves the centres by ω × t = -[t]ₓ ω, a shift moves all alike, and a
         # common scale moves each centre along t.
-        G = np.zeros((len(self.rig), self.width, 7))
+        G = np.zeros((len(self.rig), self.width, _GAUGE))
         G[:, :3, :3] = G[:, 3:6, 3:6] = np.eye(3)
         G[:, 3:6, :3] = -cross(self.t)
         G[:, 3:6, 6] = self.t
-        return G.reshape(-1, 7)
+        return G.reshape(-1, _GAUGE)
 
     def covariance(self) -> Floats:
         """Return the covariance (6 · cameras, 6 · cameras) of rotations (radians) and centres
@@ -385,7 +387,7 @@ class TrackBundle:
     def _inverse(self, S: Floats) -> Floats:
         """Return the inverse of the normal equations, priors added, within what can be seen."""
         # The columns of Z span what is at right angles to the gauge; only there is S invertible.
-        Z = np.linalg.svd(self._gauge().T)[2][7:].T
+        Z = np.linalg.svd(self._gauge().T)[2][_GAUGE:].T
         return np.asarray(Z @ np.linalg.inv(Z.T @ (S + np.diag(self._prior()[0])) @ Z) @ Z.T)
 
     def _projection(self) -> Floats:
@@ -435,6 +437,28 @@ def moved_rig(rig: Rig, differences: Floats) -> Rig:
     return rig.with_poses(
         [Pose(rotation_from_axis_angle(d[:3]) @ pose.R, pose.t + d[3:]) for pose, d in moved]
     )
+
+
+def whitening(covariance: Floats) -> Floats:
+    """Return the matrix (6 · cameras - 7, 6 · cameras) that whitens `pose_differences`.
+
+    A common rotation, shift and scale are left out: the covariance has seven eigenvalues of 0.
+    """
+    # Along the other eigenvectors, each over its deviation.
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors[:, _GAUGE:] / np.sqrt(values[_GAUGE:])).T, np.float64)
+
+
+def by_moving(rig: Rig, camera: int) -> Floats:
+    """Return the derivative (6 · cameras, 6) of `pose_differences` by the turn and the shift of one
+    camera.
+    """
+    step, columns = 1e-5, []
+    for change in step * np.eye(6):
+        moved = np.zeros((len(rig), 6))
+        moved[camera] = change
+        columns.append(pose_differences(moved_rig(rig, moved), rig).ravel() / step)
+    return np.stack(columns, axis=1)
 
 
 def mean_baseline(centers: Floats) -> float:

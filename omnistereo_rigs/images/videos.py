@@ -45,6 +45,7 @@ class Video:
     layout: str = ""  #: what wrote it: starts of equal ones can be compared
     chapters: tuple[tuple[Path, int], ...] = ()  #: file → number of its frames
     guessed: bool = False  #: the stamps do not rise: the times are those of a constant rate
+    damaged: int = 0  #: packets that the container marks as such
 
     def read(
         self, numbers: Sequence[int], image_size: tuple[int, int] | None = None
@@ -97,7 +98,7 @@ def _streams(path: Path) -> list[Video]:
                     stamp = packet.dts if packet.pts is None else packet.pts
                     packets[packet.stream.index].append((stamp, packet.is_corrupt))
             videos = [
-                _video(path, container, k, stream, [stamp for stamp, _ in packets[stream.index]])
+                _video(path, container, k, stream, packets[stream.index])
                 for k, stream in enumerate(streams)
                 if packets[stream.index]
             ]
@@ -123,8 +124,9 @@ def _video(
     container: InputContainer,
     number: int,
     stream: VideoStream,
-    stamps: Sequence[int | None],
+    packets: Sequence[tuple[int | None, bool]],
 ) -> Video:
+    stamps = [stamp for stamp, _ in packets]
     known = sorted(stamp for stamp in stamps if stamp is not None)
     tick = Fraction(stream.time_base or 1) * SECOND
     rate = Fraction(stream.average_rate or stream.guessed_rate or 25)
@@ -142,8 +144,8 @@ def _video(
     layout = f"{kind} {tools} {[s.type for s in container.streams]}"
     beginnings = _beginnings(container, stream, rate) | ({} if guessed else {"start": times[0]})
     size = (stream.codec_context.width, stream.codec_context.height)
-    chapters = ((path, len(times)),)
-    return Video(path, number, times, size, shown, beginnings, layout, chapters, guessed)
+    chapters, damaged = ((path, len(times)),), sum(is_damaged for _, is_damaged in packets)
+    return Video(path, number, times, size, shown, beginnings, layout, chapters, guessed, damaged)
 
 
 def _beginnings(container: InputContainer, stream: VideoStream, rate: Fraction) -> dict[str, int]:
@@ -209,7 +211,13 @@ def _joined(video: Video, more: Video) -> Video:
     begin = video.stamps[-1] + (median_step(video.stamps) or round(SECOND / video.rate))
     stamps = (*video.stamps, *(begin + time - more.stamps[0] for time in more.stamps))
     chapters = (*video.chapters, (more.path, len(more.stamps)))
-    return replace(video, stamps=stamps, chapters=chapters, guessed=video.guessed or more.guessed)
+    return replace(
+        video,
+        stamps=stamps,
+        chapters=chapters,
+        guessed=video.guessed or more.guessed,
+        damaged=video.damaged + more.damaged,
+    )
 
 
 def _decode(
@@ -272,6 +280,11 @@ def moments_of_videos(videos: Sequence[Video]) -> tuple[list[Moments], list[str]
             words.append(
                 f"{video.path} states no time stamps that rise: its frames are taken for even, "
                 f"{video.rate:.5g} a second. What it lacks is not noticed"
+            )
+        if video.damaged:
+            words.append(
+                f"{video.path} has {video.damaged} damaged packets: frames from there to the next "
+                "key frame may be of another moment. Copy it again"
             )
     step = min((s for video in videos if (s := median_step(video.stamps))), default=SECOND)
     statements = _statements(videos)

@@ -14,9 +14,8 @@ from scipy.special import fdtrc
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_rigs.boards.bundle import cross
 from omnistereo_rigs.images.from_images import Images, measure_rig
-from omnistereo_rigs.images.track_bundle import mean_baseline, moved_rig
+from omnistereo_rigs.images.track_bundle import by_moving, mean_baseline, moved_rig, whitening
 
 REFERENCE = 4  # looks that later ones are compared with
 # looks whose mean is compared: one shows at once what is large, several what is small
@@ -24,7 +23,6 @@ _TOGETHER = (1, 2, 4)
 # probability that a camera of a rig that has not moved is named; two looks in a row must name the
 # same
 _SURE = 1e-3
-_GAUGE = 7  # a rotation, a shift and a scale of all cameras together cannot be seen
 _AT_M = 10.0  # the distance that a warning speaks of
 
 
@@ -119,12 +117,11 @@ class Watch:
         """
         first = self.looks[:REFERENCE]
         # By how much more than their covariances say the first looks differ.
-        dof = first[0].differences.size - _GAUGE
-        apart = [
-            _misfit(a.differences - b.differences, a.covariance + b.covariance)[0]
-            for a, b in combinations(first, 2)
-        ]
-        raised = max(float(np.mean(apart)) / dof, 1.0) if apart else 1.0
+        apart = []
+        for a, b in combinations(first, 2):
+            z = whitening(a.covariance + b.covariance) @ (a.differences - b.differences).ravel()
+            apart.append(z @ z / len(z))
+        raised = max(float(np.mean(apart)), 1.0) if apart else 1.0
         (now, now_covariance), (then, then_covariance) = _mean(looks), _mean(first)
         return now - then, raised * (now_covariance + then_covariance)
 
@@ -155,12 +152,12 @@ def who_turned(rig: Rig, change: Floats, covariance: Floats, since: int = 0) -> 
     """Return the camera whose turn explains a change (cameras, 6) best, by whitened least
     squares.
     """
+    white = whitening(covariance)
     # numbers that tell how much the first looks disagree
-    known = (REFERENCE - 1) * (change.size - _GAUGE)
-    _, white = _misfit(change, covariance)
+    known = (REFERENCE - 1) * len(white)
     found = []
     for camera in range(len(rig)):
-        A = white @ _by_turning(rig, camera)
+        A = white @ by_moving(rig, camera)[:, :3]
         inverse = np.asarray(np.linalg.inv(A.T @ A), np.float64)
         turn = inverse @ A.T @ white @ change.ravel()
         gain = float(turn @ A.T @ A @ turn)
@@ -183,22 +180,3 @@ def _mean(looks: Sequence[Look]) -> tuple[Floats, Floats]:
     """Return the mean differences of looks and their covariance."""
     covariance = np.sum([one.covariance for one in looks], axis=0) / len(looks) ** 2
     return np.mean([one.differences for one in looks], axis=0), covariance
-
-
-def _misfit(change: Floats, covariance: Floats) -> tuple[float, Floats]:
-    """Return χ² of a change, and the matrix that whitens it, without what cannot be seen."""
-    values, vectors = np.linalg.eigh(covariance)
-    white = (vectors[:, _GAUGE:] / np.sqrt(values[_GAUGE:])).T
-    return float(((white @ change.ravel()) ** 2).sum()), white
-
-
-def _by_turning(rig: Rig, camera: int) -> Floats:
-    """Return the derivative (6 · cameras, 3) of `pose_differences` by the turn of one camera.
-
-    The rig as a whole turns by an n-th of that, which the differences leave out.
-    """
-    J = np.zeros((len(rig), 6, 3))
-    J[:, :3] = -np.eye(3) / len(rig)
-    J[camera, :3] += np.eye(3)
-    J[:, 3:] = cross(rig.centers - rig.centers.mean(axis=0)) / len(rig)
-    return J.reshape(-1, 3)

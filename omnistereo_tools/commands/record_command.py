@@ -117,7 +117,8 @@ def run(options: RecordOptions) -> int:
     _check(options, out)
     # Read: the rig, which frames there are, and the first of them.
     rig, clocks = read_rig_and_clocks(options, options.images)
-    recording = _open_recording(options, rig, _late(options, out, rig, clocks))
+    late, told = _late(options, out, rig, clocks)
+    recording = _open_recording(options, rig, late)
     first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
     rig = mask_circles(rig, first)
     frame, coverage = Frame.of(rig, first[0]), Coverage.of(rig)
@@ -130,6 +131,7 @@ def run(options: RecordOptions) -> int:
     warn_of(rig_doubts(rig, grid.min_depth))
     doubt = next(image_doubts(frame, grid), None)
     warn_of([doubt] if doubt else [])
+    doubt = told or doubt
     sweep, method = (
         SphereSweep(rig, grid, device=options.device),
         options.method or stored_method(out),
@@ -167,12 +169,15 @@ def run(options: RecordOptions) -> int:
         seconds = write_video(options.video, writer)
         print(f"written to {options.video}: panorama over depth, {total} frames, {seconds:.1f} s")
     fitting = fits(share) and not doubt
-    print(_next(options, out, fitting))
+    print(_next(options, out, fitting, bool(told)))
     return int(options.strict and not fitting)
 
 
-def _next(options: RecordOptions, out: Path, fitting: bool) -> str:
-    """Return the command to go on with: `world`, or `doctor` where something is wrong."""
+def _next(options: RecordOptions, out: Path, fitting: bool, is_late: bool) -> str:
+    """Return the command to go on with: `world`, or what helps where something is wrong."""
+    if is_late:
+        other = out.with_name(f"{out.name}_sync")
+        return as_typed("record", RecordOptions, options, sync=True, out=other)
     if not fitting:
         from omnistereo_tools.commands.options import DoctorOptions
 
@@ -198,8 +203,10 @@ def _check(options: RecordOptions, out: Path) -> None:
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
 
 
-def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] | None) -> list[int]:
-    """Return by how much the times of each camera are late, ns, and say it.
+def _late(
+    options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] | None
+) -> tuple[list[int], str | None]:
+    """Return by how much the times of each camera are late, ns, and which are late still.
 
     A recording goes on with what it began with. Otherwise the rig file counts, then the images.
     """
@@ -210,7 +217,7 @@ def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] |
     from omnistereo_tools.record.sync import check_moments, measure_late, stored_late
 
     if (out / SETTINGS).exists() and not (options.sync and not stored_late(out)):
-        return stored_late(out)
+        return stored_late(out), None
     late = list[int]()
     if clocks is not None and max(clocks) > min(clocks):
         late = [round(SECOND * (clocks[0] - shift)) for shift in clocks]
@@ -222,10 +229,10 @@ def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] |
             late = []
     if options.sync:
         say("measuring from the images how late each camera is: a minute")
-        return measure_late(options.images, rig, late)
-    if (doubt := check_moments(options.images, rig, late)) is not None:
-        warn_of([doubt])
-    return late
+        return measure_late(options.images, rig, late), None
+    found, open_ = check_moments(options.images, rig, late)
+    warn_of([f"{found}. Match by the images: --sync"] if found else [open_] if open_ else [])
+    return late, found
 
 
 def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Recording:

@@ -22,47 +22,48 @@ from omnistereo_tools.progress import say
 from omnistereo_tools.record.recordings import SETTINGS
 
 _Moment = list[NDArray[np.uint8]]  # of each camera
-_QUICK = 4  # frames of a first look, one frame to either side
+QUICK = 4  # frames of a first look, one frame to either side
 _FIRST = 300  # frames of a video within which it looks: those before are decoded, too
 _PLACES = 3  # where --sync looks: cameras may lose frames on the way
 _SMALL = 48  # px, sides of the pictures that tell where most moves
-# Of eight frames of the bundled drives with planted cameras (workshop/results/late_table.py): the
-# least gain was 1.54, and the least clear pair 2.8 times as good as at its next best shift.
+# Scored by workshop/results/late_table.py.
 _GAIN, _CLEAR = 1.2, 2.0
 _ON_TIME = 1.25  # clear by as much, cameras that come out on time are: 10 cm a frame give 1.1
 _FEW = 15.0  # matches a pair: with fewer, chance makes one shift clear
+_CLEAR_FINE, _FEW_FINE = 1.5, 6.0  # the same between frames
+_LEFT = 0.3  # of a frame, by which cameras are apart after all: more is told
+_TOLD = 0.25  # of a frame: less is not told
 
 
-def check_moments(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> str | None:
-    """Look at a handful of frames; return a sentence if a camera is late or nothing can be told.
+def check_moments(
+    paths: Sequence[Path], rig: Rig, late: Sequence[int]
+) -> tuple[str | None, str | None]:
+    """Look at a handful of frames; return which cameras are late, and why that cannot be told.
 
     Args:
         paths, late: Of the recording, see `Recording.open`.
     """
     with suppress(OmnistereoError):  # what cannot be read is told when its turn comes
         return _check(Recording.open(paths, late=late), rig)
-    return None
+    return None, None
 
 
-def _check(recording: Recording, rig: Rig) -> str | None:
+def _check(recording: Recording, rig: Rig) -> tuple[str | None, str | None]:
     start = _places(recording, 1)
     if len(recording.sources) < 2 or not start:
-        return None
-    found = LateCameras(rig, _images(recording, rig, start[0], _QUICK)).find(reach=1)
-    if not any(found.frames) and found.clear >= _CLEAR and found.matches >= _FEW:
-        return None
+        return None, None
+    found = LateCameras(rig, _images(recording, rig, start[0], QUICK)).find(reach=1)
+    if is_on_time(found):
+        return None, None
     images = _images(recording, rig, start[0], FRAMES)
     if len(images) < FRAMES:
-        return None
-    found = LateCameras(rig, images).find()
-    if not is_sure(found):
-        return (
+        return None, None
+    if (late := _measure(rig, images)) is None:
+        return None, (
             "whether a camera is late cannot be told from the images: the rig moves too little "
             "between frames (about 10 cm is needed), or the rig file is off"
         )
-    if not any(found.frames):
-        return None
-    return f"{_sentence(recording, found.frames)}. Match by the images: --sync"
+    return _sentence(recording, late) or None, None
 
 
 def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[int]:
@@ -98,7 +99,13 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
             "that its time stamps do not show. Cut the recording there: --frames"
         )
     mean = frames.mean(axis=0)
-    say(_sentence(recording, mean) if np.abs(mean).max() >= 0.1 else "no camera is late")
+    say(_sentence(recording, mean) or "no camera is late")
+    left = float(np.ptp(mean - mean.round()))
+    if left > _LEFT:
+        say(
+            f"no frames are of one moment: the nearest are {left:.1f} frames apart, and near "
+            "things have wrong depth where the rig moves. Start the cameras together"
+        )
     step = recording.step or _step_of_numbers(recording)
     stated = list(late) or [0] * len(mean)
     # Pictures that are only counted can be moved by whole numbers alone.
@@ -113,9 +120,9 @@ def _measure(rig: Rig, images: Sequence[_Moment]) -> Sequence[float] | None:
     if not is_sure(whole):
         # Between two frames, neither of them fits.
         fine = look.find(fine=True)
-        return fine.frames if is_sure(fine) else None
+        return fine.frames if is_sure(fine, fine=True) else None
     late = [round(value) for value in whole.frames]
-    if max(late) - min(late) > len(images) - 2:
+    if max(late) - min(late) > len(images) - QUICK:
         return whole.frames
     fine = look.moved(late).find(reach=1, fine=True)
     is_fine = fine.clear >= _ON_TIME and max(map(abs, fine.frames)) < 1
@@ -126,18 +133,28 @@ def _step_of_numbers(recording: Recording) -> int:
     return SECOND * max(median_step(sorted(recording.frames)), 1)
 
 
-def is_sure(found: Lateness) -> bool:
-    """Return whether the images show how late the cameras are, or that none is."""
-    if max(map(abs, found.frames)) < 0.5:
+def is_on_time(found: Lateness) -> bool:
+    """Return whether a first look shows beyond doubt that no camera is late."""
+    return not any(found.frames) and found.clear >= _CLEAR and found.matches >= _FEW
+
+
+def is_sure(found: Lateness, fine: bool = False) -> bool:
+    """Return whether the images show how late the cameras are, or that none is.
+
+    Args:
+        fine: Found between frames, where fewer matches are left to judge by.
+    """
+    if not fine and max(map(abs, found.frames)) < 0.5:
         return found.clear >= _ON_TIME and found.matches >= _FEW
-    return found.clear >= _CLEAR and found.gain >= _GAIN and found.matches >= _FEW
+    clear, few = (_CLEAR_FINE, _FEW_FINE) if fine else (_CLEAR, _FEW)
+    return found.clear >= clear and found.gain >= _GAIN and found.matches >= few
 
 
 def _sentence(recording: Recording, frames: Sequence[float]) -> str:
     """Return which cameras are late or early, and by how much."""
     parts = []
     for camera, value in enumerate(frames, 1):
-        if abs(value) < 0.1:
+        if abs(value) < _TOLD:
             continue
         count = f"{abs(value):.2g}"
         count = {"1": "one frame"}.get(count, f"{count} frames")
@@ -154,7 +171,7 @@ def _places(recording: Recording, count: int) -> list[int]:
     if len(numbers) < 3:
         return []
     found = []
-    for part in np.array_split(np.arange(max(len(numbers) - _QUICK, 1)), count):
+    for part in np.array_split(np.arange(max(len(numbers) - QUICK, 1)), count):
         if len(part) == 0:
             continue
         tried = np.unique(part[np.linspace(0, len(part) - 1, 4).astype(int)]).tolist()

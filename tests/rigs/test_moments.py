@@ -48,8 +48,24 @@ def test_a_whole_stamp_is_read(pattern):
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        ["12-59-58", "12-59-59", "13-00-00"],
+        ["cam 9.59.59", "cam 10.00.01"],
+        ["23h59m59", "00h00m00", "00h00m01"],
+        ["2024-05-01 at 12.59.59", "2024-05-01 at 13.00.00"],
+    ],
+)
+def test_a_time_of_day_is_read_whole(names):
+    ((moments, ordered),) = read_names([names[::-1]])
+    assert ordered == names and min(np.diff(moments.times)) > 0
+
+
+@pytest.mark.parametrize(
     ("names", "numbers"),
     [
+        (["02-00-58", "02-00-59"], [58, 59]),
+        (["01-02-59", "01-03-60"], [59, 60]),
         (["IMG_0001 (1)", "IMG_0002 (1)"], [1, 2]),
         (["IMG_20240501_123015 (1)", "IMG_20240501_123015 (2)"], [1, 2]),
         (["000007_cam2", "000008_cam2"], [7, 8]),
@@ -128,6 +144,22 @@ def test_a_time_code_states_when_a_video_begins(tmp_path):
         f"by their time codes {paths[1]} begins 400 ms later than {paths[0]}: frames are matched "
         "by that"
     ]
+
+
+def test_a_damaged_transport_stream_is_told(tmp_path):
+    """What its decoder makes of lost packets looks like frames; the demuxer knows better."""
+    path = tmp_path / "a.ts"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 64, "yuv420p"
+        for k in range(24):
+            image = np.full((64, 64, 3), 6 * k, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "rgb24")))
+        container.mux(stream.encode(None))
+    whole = path.read_bytes()
+    assert moments_of_videos(open_videos(path))[1] == []
+    path.write_bytes(whole[: len(whole) // 3] + whole[len(whole) // 2 :])
+    assert "damaged packets" in moments_of_videos(open_videos(path))[1][0]
 
 
 def test_beginnings_that_contradict_each_other_are_refused(tmp_path):

@@ -16,6 +16,7 @@ import scene
 from command_server import make_small
 
 import omnistereo_lib as osl
+from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
@@ -26,7 +27,7 @@ from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
-from omnistereo_tools.record import recordings, sync
+from omnistereo_tools.record import recordings
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--grid", "96x24x16", "--method", "zncc"]
@@ -616,19 +617,43 @@ def test_a_video_shorter_than_it_says_is_told(tmp_path):
         next(source.read([1], (48, 64)))
 
 
-def test_what_sync_measures_is_stored_and_gone_on_with(recorded, tmp_path, capsys, monkeypatch):
-    """Camera 3 is one frame late: its pictures are those of the next number of the others."""
-    monkeypatch.setattr(sync, "_measure", lambda rig, images: (0.0, 0.02, 1.01, 0.0))
-    command = record_command(recorded, tmp_path / "out")
-    assert run(*command, "--sync", "--frames", ":3") == 0
+@pytest.mark.slow
+def test_a_late_camera_is_found_stored_and_put_right(tmp_path, capsys):
+    """Its depth is that of the pictures as they were before their names were moved by a frame."""
+    drive = DATA / "drive" / "test"
+
+    def recorded(name, late, *more):
+        folders = [tmp_path / name / f"cam{k}" for k in (1, 2, 3, 4)]
+        for folder, own in zip(folders, late, strict=True):
+            folder.mkdir(parents=True)
+            pictures = sorted((drive / folder.name).iterdir())[2 - own : 12 - own]
+            for k, picture in enumerate(pictures):
+                (folder / f"{100 * k:04}.jpg").symlink_to(picture)
+        out = tmp_path / f"{name}_out"
+        command = ["record", "--rig", drive, "--images", *folders, *SMALL, "--out", out]
+        assert run(*command, *more) == 0
+        return command, out, {f.number: f.inverse_depth for f in osl.load_dataset(out)}
+
+    *_, right = recorded("on_time", (0, 0, 0, 0))
+    command, out, found = recorded("late", (0, 0, 1, 0), "--sync", "--frames", ":500")
     assert "camera 3 is one frame late" in capsys.readouterr().err
-    assert json.loads((tmp_path / "out" / "recording.json").read_text())["late_s"] == [0, 0, 1, 0]
+    late = json.loads((out / "recording.json").read_text())["late_s"]
+    assert late == pytest.approx([0, 0, 100, 0], abs=10)
+    # Gone on with, without measuring again.
     assert run(*command) == 0
-    data = osl.load_dataset(tmp_path / "out")
-    assert [frame.number for frame in data] == list(range(1, FRAMES))
-    for frame in data:
-        late = recorded / "view3" / f"cam3_{frame.number + 1:03}.png"
-        np.testing.assert_array_equal(frame.images[2], read_image(late))
-    monkeypatch.setattr(sync, "_measure", lambda rig, images: None)
-    assert run(*record_command(recorded, tmp_path / "other"), "--sync") == 2
-    assert "cannot be measured" in capsys.readouterr().err
+    found = {frame.number: frame.inverse_depth for frame in osl.load_dataset(out)}
+    assert list(found) == list(right)[:-1]
+    for number, inverse_depth in found.items():
+        np.testing.assert_array_equal(inverse_depth, right[number])
+
+
+def test_how_late_a_camera_is_cannot_be_measured_where_nothing_moves(recorded, tmp_path, capsys):
+    images = [tmp_path / f"cam{k}" for k in (1, 2, 3, 4)]
+    for folder, view in zip(images, views(recorded), strict=True):
+        folder.mkdir()
+        for k in range(6):
+            (folder / f"{k}.png").symlink_to(sorted(view.iterdir())[0])
+    command = record_command(recorded, tmp_path / "out")
+    command[4:8] = images
+    assert run(*command, "--sync") == 2
+    assert "cannot be measured" in capsys.readouterr().err and not (tmp_path / "out").exists()

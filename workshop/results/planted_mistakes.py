@@ -25,6 +25,8 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
 from omnistereo_rigs.doctor.one_camera import scaled_lens
 from omnistereo_rigs.doctor.rig_check import check_rig, rotate_camera, scale_translations
+from omnistereo_rigs.images.from_images import MeasuredRig
+from omnistereo_rigs.images.track_bundle import pose_differences, whitening
 
 SETS = {
     "street": ("sunny", "cloudy", "sunset", "drive"),
@@ -45,12 +47,14 @@ class Case:
     images: list[NDArray[Any]]
     causes: tuple[str, ...]  # any of these is right
     cameras: tuple[int, ...] | None = None  # those to be accused; None: any
+    true: Rig | None = None  # of which poses are measured
+    where: str = ""  # which frame, if another than that drawn
 
 
 def _turned(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     turn = np.radians(np.exp(rng.uniform(np.log(0.5), np.log(20)))) * _direction(rng)
-    return Case(rotate_camera(rig, k, turn), images, ("turned",), (k,))
+    return Case(rotate_camera(rig, k, turn), images, ("turned",), (k,), rig)
 
 
 def _shifted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
@@ -58,7 +62,7 @@ def _shifted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     radius = float(np.linalg.norm(rig.centers - rig.centers.mean(axis=0), axis=1).mean())
     shift = radius * np.exp(rng.uniform(np.log(0.1), np.log(1.0))) * _direction(rng)
     poses = [Pose(T.R, T.t + shift * (i == k)) for i, T in enumerate(rig.T_rig_cam)]
-    return Case(rig.with_poses(poses), images, ("displaced", "late or displaced"), (k,))
+    return Case(rig.with_poses(poses), images, ("displaced", "late or displaced"), (k,), rig)
 
 
 def _swapped(rng: np.random.Generator, data: Dataset, number: int) -> Case:
@@ -87,7 +91,7 @@ def _late(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     later = number + int(rng.choice([-2, -1, 1, 2]))
     images[k] = data[later].reduced(_PX_PER_DEG).images[k]
-    return Case(rig, images, ("late or displaced",), (k,))
+    return Case(rig, images, ("late or displaced",), (k,), where=f"{name} {number}, {later}")
 
 
 def _wrong_lens(rng: np.random.Generator, data: Dataset, number: int) -> Case:
@@ -120,7 +124,7 @@ def _inverted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
 
 def _nothing(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
-    return Case(rig, images, ("nothing wrong",), ())
+    return Case(rig, images, ("nothing wrong",), (), rig)
 
 
 PLANTED: dict[str, Callable[[np.random.Generator, Dataset, int], Case]] = {
@@ -170,24 +174,31 @@ def judge(seed: int, number: int) -> dict[str, str]:
     images = [
         np.ascontiguousarray(image.round().clip(0, 255).astype(np.uint8)) for image in case.images
     ]
+    measured = None
     try:
-        check = check_rig(case.rig, images, data[place].rig.min_depth)
-        cause, cameras, text = check.cause, check.cameras, check.text
+        check = check_rig(case.rig, images, case.rig.min_depth)
+        cause, cameras, text, measured = check.cause, check.cameras, check.text, check.measured
     except OmnistereoError as error:
-        cause, cameras, text = (
-            "size",
-            tuple(k for k in range(9) if f"image {k + 1} " in str(error)),
-            str(error),
-        )
+        text = str(error)
+        cause = "size" if "has shape" in text else "error"
+        cameras = tuple(k for k in range(len(images)) if f"image {k + 1} " in text)
     right = cause in case.causes and case.cameras in (None, cameras)
     innocent = cause not in case.causes and cause not in ("cannot tell", "nothing wrong")
     innocent |= case.cameras is not None and not set(cameras) <= set(case.cameras)
+    chi2 = f"{chi2_of(measured, case.true):.2f}" if measured and case.true else ""
     return {
-        "planted": planted, "scene": scene, "set": f"{name} {place}",
+        "planted": planted, "scene": scene, "set": case.where or f"{name} {place}",
         "cameras": " ".join(str(k + 1) for k in case.cameras or ()), "said": cause,
         "accused": " ".join(str(k + 1) for k in cameras), "right": str(int(right)),
-        "innocent": str(int(innocent)), "text": text,
+        "innocent": str(int(innocent)), "chi2": chi2, "text": text,
     }  # fmt: skip
+
+
+def chi2_of(measured: MeasuredRig, true: Rig) -> float:
+    """Return χ² of the errors of measured poses by their stated deviations, by its expectation."""
+    errors = pose_differences(measured.rig, true)
+    z = whitening(measured.covariance) @ errors.ravel()
+    return float(z @ z / len(z))
 
 
 def run(seed: int, count: int, out: Path | None = None) -> None:
@@ -208,7 +219,7 @@ def run(seed: int, count: int, out: Path | None = None) -> None:
         row = rows[-1]
         sign = "ok " if row["right"] == "1" else "BAD" if row["innocent"] == "1" else "?  "
         print(f"{sign} {number} {row['planted']} ({row['cameras']}) in {row['set']}:", end=" ")
-        print(f"{row['said']} ({row['accused']})")
+        print(f"{row['said']} ({row['accused']}) {row['chi2']}", flush=True)
         if row["right"] != "1":
             print(f"      {row['text']}")
     text = table(rows, seed)
@@ -245,4 +256,12 @@ def table(rows: list[dict[str, str]], seed: int) -> str:
         f"{innocent} ({100 * innocent / len(rows):.1f} %) a mistake is named that was not made, or "
         "a camera that has nothing to do with it.",
     ]
+    for scene in SETS:
+        values = [float(row["chi2"]) for row in rows if row["scene"] == scene and row["chi2"]]
+        if values:
+            low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
+            lines[-1] += (
+                f" χ² of the poses measured in a {scene}, by what their stated deviations let "
+                f"expect: {middle:.1f} in the median, {low:.1f} to {high:.1f} in four of five."
+            )
     return "\n".join(lines)
