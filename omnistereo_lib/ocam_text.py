@@ -104,7 +104,7 @@ def ocam_camera(
     affine = parse_floats(records["affine"], "the affine map c d e", 3).tolist()
     height, width = parse_size(records["image_size"], "the image size (height, width)")
     side = max(width, height)
-    if abs(poly[1]) * side > 1e-6 * abs(poly[0]):
+    if abs(poly[1]) > 1e-6 / side * abs(poly[0]):
         raise OmnistereoError(
             f"the direct polynomial is {poly.tolist()}; expected a0 0 a2 a3 …: OCam has no linear "
             "term. If these are the four numbers of MATLAB's MappingCoefficients, a0 a2 a3 a4, "

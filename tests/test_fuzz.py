@@ -12,6 +12,7 @@ import socket
 import struct
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -298,12 +299,19 @@ def tensors(folder):
     }
     run = _Run.__new__(_Run)  # without data
     run.recipe, run.network, run.init_sha256 = RECIPE, network, None
+    run.samples, run.precision = SimpleNamespace(metadata={"sha256": "0"}), "float32"
     run.optimizer = torch.optim.AdamW(network.parameters())
     sum(weight.sum() for weight in network.parameters()).backward()
     run.optimizer.step()
-    run.save_state(folder / "state.safetensors", 2)
+    run.save_state(folder / "state.safetensors", 2, {"loss": 0.5})
     content = (folder / "state.safetensors").read_bytes()
-    found["state"] = ("state.safetensors", content, run.resume, check_step, damage_tensors)
+    found["state"] = (
+        "state.safetensors",
+        content,
+        lambda path: run.resume(path)[0],
+        check_step,
+        damage_tensors,
+    )
     rows = [[step, 0.5, 0.1, 1e-3, 2.0, "", 0.3] for step in range(4)]
     write_csv(folder / "log.csv", COLUMNS, rows)
     content = (folder / "log.csv").read_bytes()
