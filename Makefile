@@ -45,6 +45,12 @@ fresh: $(READY)  ## a fresh copy of one notebook: make fresh NOTEBOOK=03; yours 
 progress: $(READY)  ## which of your functions are right, across the notebooks: out/progress.html
 	$(BIN)/python -m course progress
 
+depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
+	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
+
+demo: $(READY)  ## a drive through the bundled streets, panorama and depth live in the browser
+	$(BIN)/omnistereo demo
+
 doctor:  ## checks Python, the packages and the data, and says how to fix what is wrong
 	@$$($(BIN)/python -c pass 2>/dev/null && echo $(BIN)/python || echo $(PYTHON)) -m course doctor
 
@@ -76,12 +82,6 @@ else
 	  --volume "$$(realpath '$(HANDED_IN)'):/handed-in:ro" --volume '$(CURDIR)/out/checked:/checked' \
 	  course-check python -m course check /handed-in --out /checked $(GRADE_ARGS)
 endif
-
-depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
-	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
-
-demo: $(READY)  ## a drive through the bundled streets, panorama and depth live in the browser
-	$(BIN)/omnistereo demo
 
 render: $(RENDER_READY)  ## renders what is missing of sunny/test, or RENDER_ARGS="sunny/train --frames 500 --out more"
 	$(RENDER)/python -m workshop.render $(RENDER_ARGS)

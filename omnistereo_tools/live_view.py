@@ -37,6 +37,7 @@ _LEAVING_S = 0.5  # for each of two threads: Ctrl-C ends within two seconds
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
 _PORT = 8765  # or any free one
+PART = b"--x\r\nContent-Type: image/jpeg\r\n\r\n"  # before each picture of the stream
 _FPS = 10.0  # of pictures, which do not say
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
@@ -363,11 +364,10 @@ def serve(latest: Latest, cameras: Cameras | None = None) -> Iterator[str]:
                 self.wfile.write(words(picture, *place).encode())
 
         def _stream(self) -> None:
-            self.wfile.write(b"--x\r\n")
+            self.wfile.write(PART)
             for picture in latest:
-                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(picture.jpeg)}\r\n\r\n"
-                # A browser shows a picture when its end has come, not only the next one.
-                self.wfile.write(head.encode() + picture.jpeg + b"\r\n--x\r\n")
+                # A browser shows a picture when the head of the next one has come.
+                self.wfile.write(picture.jpeg + b"\r\n" + PART)
 
         def log_message(self, *_: object) -> None:
             pass

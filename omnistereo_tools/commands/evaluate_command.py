@@ -15,6 +15,8 @@ from omnistereo_tools.commands.options import DeviceOptions
 from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.parser import is_tiny, option, shrink
 
+_MEAN_ERRORS = slice(3, None, 5)  # of the metrics of each set
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(DeviceOptions):
@@ -79,6 +81,10 @@ def run(options: EvaluateOptions) -> None:
         progress(done, total, f"{job.data} {job.frame} {job.method.name}")
     results = evaluation.results()
     written = write_results(evaluation.out, results)
-    print(errors_table(results).text(), end="")
+    table = errors_table(results)
+    errors = {words[0]: cells[_MEAN_ERRORS, 0].mean() for words, cells in table.rows}
+    best = min(errors, key=lambda name: errors[name])
+    print(f"{best} has the lowest mean error, {errors[best]:.2g} % of the range swept.")
+    print(table.text(), end="")
     print(f"written to {evaluation.out}/: {', '.join(written)}")
     print(evaluation.out / "errors.md")
