@@ -107,14 +107,14 @@ def install(name: str) -> tuple[str, Path] | None:
     return python, site
 
 
-def measure(name: str, files: Path | None) -> dict[str, list[list[Any]]] | None:
+def measure(name: str, files: Path) -> dict[str, list[list[Any]]] | None:
     """Return the rows of one program; None if there is no Python for it."""
     if (found := install(name)) is None:
         return None
     python, site = found
     env = os.environ | {"PYTHONPATH": str(site), "PYENV_VERSION": PROGRAMS[name][2]}
-    command = [python, str(Path(__file__).with_name("measure.py")), PROGRAMS[name][0]]
-    command += [] if files is None else [str(files)]
+    script = str(Path(__file__).with_name("measure.py"))
+    command = [python, script, PROGRAMS[name][0], str(files)]
     done = subprocess.run(command, env=env, capture_output=True, text=True)
     if done.returncode:
         raise OmnistereoError(f"{name}: {done.stderr[-800:]}")

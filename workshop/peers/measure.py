@@ -114,21 +114,14 @@ def of_pycolmap(folder, truth):
     pose(
         name, "Rigid3d(cam_from_world)", "world → camera, quaternion x y z w; in images.txt w x y z"
     )
-    if folder is None:
-        return
     model = pycolmap.Reconstruction(str(folder / "colmap"))
     file("colmap/", name, "cameras", abs(len(model.cameras) - 4), 0)
     camera = model.cameras[1]
     rays = np.array([camera.cam_ray_from_img(uv + 0.5) for uv in truth["pixels"]])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     cosine = (rays * truth["rays"]).sum(1).clip(-1, 1)
-    file(
-        "colmap/cameras.txt",
-        name,
-        "rays within 85°, degrees",
-        np.degrees(np.arccos(cosine)).max(),
-        0.03,
-    )
+    off = np.degrees(np.arccos(cosine)).max()
+    file("colmap/cameras.txt", name, "rays within 85°, degrees", off, 0.03)
     database = folder / "colmap.db"
     database.unlink(missing_ok=True)
     options = pycolmap.ImageReaderOptions()
@@ -183,8 +176,6 @@ def of_opencv(folder, truth):
             lambda uv: cv2.omnidir.undistortPoints(uv.reshape(1, 1, 2), K, D, xi, np.eye(3)),
         )
     pose(name, "R, T of stereoCalibrate", "camera 1 → camera 2, in the unit of the board")
-    if folder is None:
-        return
     storage = cv2.FileStorage(str(folder / "opencv.yaml"), cv2.FILE_STORAGE_READ)
     second = storage.getNode("cam2")
     off = np.abs(
@@ -321,8 +312,6 @@ def of_ds_msp(folder, truth):
             lambda uv, m=model: first(m.unproject(uv[None])),
             wide,
         )
-    if folder is None:
-        return
     from ds_msp.io import kalibr
 
     path = str(folder / "kalibr.yaml")
@@ -378,23 +367,11 @@ def of_open3d(folder, truth):
         "RaycastingScene",
         f"world → camera; the ray of pixel (320, 240) passes {off:g} px beside the principal point",
     )
-    if folder is None:
-        return
     cloud = open3d.t.io.read_point_cloud(str(folder / "data/points.ply")).point
-    file(
-        "points.ply",
-        name + " (tensor)",
-        "metres",
-        np.abs(cloud.positions.numpy() - truth["points"]).max(),
-        1e-6,
-    )
-    file(
-        "points.ply",
-        name + " (tensor)",
-        "quality",
-        np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max(),
-        1e-6,
-    )
+    off = np.abs(cloud.positions.numpy() - truth["points"]).max()
+    file("points.ply", name + " (tensor)", "metres", off, 1e-6)
+    off = np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max()
+    file("points.ply", name + " (tensor)", "quality", off, 1e-6)
     turned = np.asarray(open3d.io.read_point_cloud(str(folder / "points_z.ply")).points)
     x, y, z = truth["points"].T
     off = np.abs(turned - np.column_stack([z, -x, -y])).max()
@@ -405,20 +382,13 @@ def of_open3d(folder, truth):
     scene = np.asarray(open3d.io.read_triangle_mesh(str(folder / "scene.ply")).vertices)
     file("--mesh a.ply", name, "metres", np.abs(scene - truth["scene"]).max(), 1e-5)
     mesh = open3d.io.read_triangle_mesh(str(folder / "mesh.ply"))
-    file(
-        "mesh.ply",
-        name,
-        "colours of 255",
-        np.abs(255 * np.asarray(mesh.vertex_colors) - truth["colors"]).max(),
-        0.5,
-    )
+    off = np.abs(255 * np.asarray(mesh.vertex_colors) - truth["colors"]).max()
+    file("mesh.ply", name, "colours of 255", off, 0.5)
 
 
 def of_meshlab(folder, truth):
     import pymeshlab
 
-    if folder is None:
-        return
     name = "pymeshlab 2025.7.post1"
 
     meshes = pymeshlab.MeshSet()  # its meshes go with it
@@ -427,62 +397,40 @@ def of_meshlab(folder, truth):
         meshes.load_new_mesh(str(folder / path))
         return meshes.current_mesh()
 
-    file(
-        "points.ply",
-        name,
-        "quality",
-        np.abs(load("data/points.ply").vertex_scalar_array() - truth["quality"]).max(),
-        1e-6,
-    )
+    off = np.abs(load("data/points.ply").vertex_scalar_array() - truth["quality"]).max()
+    file("points.ply", name, "quality", off, 1e-6)
     for path, limit in (("mesh.ply", 0.5), ("mesh.glb", 1.0)):
         mesh = load(path)
         want = truth["colors"] if path == "mesh.ply" else 255 * truth["linear"]
+        off = np.abs(255 * mesh.vertex_color_matrix()[:, :3] - want).max()
         file(
             path,
             name,
             "colours of 255" if path == "mesh.ply" else "linear light of 255",
-            np.abs(255 * mesh.vertex_color_matrix()[:, :3] - want).max(),
+            off,
             limit,
         )
         axes = np.eye(3) if path == "mesh.ply" else np.diag([1.0, -1, -1])
-        file(
-            path,
-            name,
-            "metres",
-            np.abs(mesh.vertex_matrix() - truth["vertices"] @ axes).max(),
-            1e-6,
-        )
+        off = np.abs(mesh.vertex_matrix() - truth["vertices"] @ axes).max()
+        file(path, name, "metres", off, 1e-6)
 
 
 def of_rasterio(folder, truth):
     import rasterio
 
-    if folder is None:
-        return
     name = f"rasterio {rasterio.__version__}"
     for path in ("inverse_depth", "confidence", "trust"):
         with rasterio.open(folder / f"data/{path}.tiff") as opened:
             band = opened.read(1, masked=True)
-        file(
-            f"{path}.tiff",
-            name,
-            "NaN pixels that are not masked",
-            np.isnan(band.filled(0)).sum(),
-            0,
-        )
+        off = np.isnan(band.filled(0)).sum()
+        file(f"{path}.tiff", name, "NaN pixels that are not masked", off, 0)
 
 
 def of_evo(folder, truth):
     from evo.tools import file_interface
 
     name = "evo 1.38.1"
-    pose(
-        name,
-        "TUM",
-        "camera → world, metres; quaternion x y z w in the file, w x y z in Python",
-    )
-    if folder is None:
-        return
+    pose(name, "TUM", "camera → world, metres; quaternion x y z w in the file, w x y z in Python")
     found = file_interface.read_tum_trajectory_file(str(folder / "trajectory.txt")).positions_xyz
     file("trajectory.txt", name, "metres", np.abs(found - truth["path"]).max(), 1e-6)
     timed = file_interface.read_tum_trajectory_file(str(folder / "trajectory_seconds.txt"))
@@ -494,21 +442,14 @@ def of_evo(folder, truth):
 def of_pyav(folder, truth):
     import av
 
-    if folder is None:
-        return
     for path in ("a.mp4", "a.webm"):
         with av.open(str(folder / path)) as opened:
             stream = opened.streams.video[0]
             count = sum(1 for _ in opened.decode(stream))
             matrix = int(stream.codec_context.colorspace)
         file(f"--video {path[2:]}", f"PyAV {av.__version__}", "frames missing", abs(count - 3), 0)
-        file(
-            f"--video {path[2:]}",
-            f"PyAV {av.__version__}",
-            "matrix not BT.601's",
-            matrix not in (5, 6),
-            0,
-        )
+        off = matrix not in (5, 6)
+        file(f"--video {path[2:]}", f"PyAV {av.__version__}", "matrix not BT.601's", off, 0)
 
 
 def of_panoramas(folder, truth):
@@ -580,8 +521,6 @@ def of_blender(folder, truth):
             None if model.endswith("SOLID") else EQUIDISTANT,
         )
     pose(name, "camera.matrix_world", "camera → world, y up, looks along -z; metres")
-    if folder is None:
-        return
     axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up: right, ahead, up
 
     def imported(operator, path):
@@ -613,13 +552,8 @@ def of_blender(folder, truth):
     image.colorspace_settings.name = "Non-Color"
     found = np.reshape(image.pixels[:], (*truth["whole"].shape, -1))[::-1, :, 0]
     known = np.isfinite(truth["whole"])
-    file(
-        "--equirectangular",
-        name + " (Non-Color)",
-        "metres",
-        np.abs(found - truth["whole"])[known].max(),
-        1e-4,
-    )
+    off = np.abs(found - truth["whole"])[known].max()
+    file("--equirectangular", name + " (Non-Color)", "metres", off, 1e-4)
 
 
 def _rendered_row(bpy, model):
@@ -658,8 +592,6 @@ def _rendered_row(bpy, model):
 def of_nerfstudio(folder, truth):
     from nerfstudio.data.dataparsers import nerfstudio_dataparser
 
-    if folder is None:
-        return
     name = "nerfstudio 1.1.5"
 
     def parsed(path):
@@ -688,7 +620,6 @@ def of_nerfstudio(folder, truth):
 
 
 if __name__ == "__main__":
-    given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
-    numbers = None if given is None else dict(np.load(given / "truth.npz"))
-    globals()[f"of_{sys.argv[1]}"](given, numbers)
+    name, files = sys.argv[1], Path(sys.argv[2])
+    globals()[f"of_{name}"](files, dict(np.load(files / "truth.npz")))
     print(json.dumps(ROWS))
