@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -68,22 +68,31 @@ def blended_panorama(
         float32 array, shape (factor H, factor W) or (factor H, factor W, 3), 0 to 255: NaN where no
             camera sees the point, or there is no depth.
     """
+    return blended_panoramas(depth, gains, (factor,))[0]
+
+
+def blended_panoramas(
+    depth: Depth, gains: NDArray[Any] | None, factors: Sequence[int]
+) -> list[NDArray[np.float32]]:
+    """Return what `blended_panorama` does for several factors, the images weighted once."""
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     weights = depth.sweep.keep(
         "weights", lambda: [_distance_from_rim(c)[..., None] ** 2 for c in depth.sweep.rig.cameras]
     )
-    total: NDArray[Any] = np.zeros(1, np.float32)
+    totals: list[NDArray[Any]] = [np.zeros(1, np.float32)] * len(factors)
     no_second: Any = None  # see `remap`
-    for maps, weight, image, gain in zip(
-        _pixels(depth, factor), weights, depth.images, gains, strict=True
-    ):
+    places = zip(*(_pixels(depth, factor) for factor in factors), strict=True)
+    for maps, weight, image, gain in zip(places, weights, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
-        total = total + cv2.remap(
-            np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR
-        )
-    *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
-    with np.errstate(invalid="ignore"):
-        return np.asarray(cv2.merge([(color / sums).clip(0, 255) for color in colors]), np.float32)
+        shares = np.dstack([bright * weight, weight])
+        seen = [cv2.remap(shares, one, no_second, cv2.INTER_LINEAR) for one in maps]
+        totals = [total + one for total, one in zip(totals, seen, strict=True)]
+    found = []
+    for total in totals:
+        *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
+        with np.errstate(invalid="ignore"):
+            found.append(cv2.merge([(color / sums).clip(0, 255) for color in colors]))
+    return [np.asarray(one, np.float32) for one in found]
 
 
 def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:

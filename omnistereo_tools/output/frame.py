@@ -32,14 +32,15 @@ from omnistereo_lib.stereo.learned import choose_precision
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.blend import blended_panorama, estimate_gains
+from omnistereo_tools.output.blend import blended_panoramas, estimate_gains
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
 from omnistereo_tools.output.pictures import (
     ColorScale,
+    as_picture,
+    finer,
     in_millimetres,
-    sharp_panorama,
     write_panorama,
 )
 from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
@@ -149,16 +150,18 @@ class FrameResult:
     @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, RGB, sharper than the depth; a mesh's texture."""
+        return as_picture(self._blended[1])
+
+    @lazy_property
+    def _blended(self) -> list[NDArray[np.float32]]:
+        """The blended panorama of a ray a pixel, and the sharper one."""
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
-        return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)), self._gains)
+        factors = 1, finer(self.depth, round(min(_SHARP * held, _WIDEST)))
+        return blended_panoramas(self.depth, estimate_gains(self.depth), factors)
 
-    @lazy_property
-    def _gains(self) -> NDArray[np.float64]:
-        return estimate_gains(self.depth)
-
-    @lazy_property
+    @property
     def _colors(self) -> NDArray[np.float32]:
-        return blended_panorama(self.depth, self._gains)
+        return self._blended[0]
 
     @lazy_property
     def _cloud(self) -> PointCloud:

@@ -119,9 +119,12 @@ def sharp_panorama(
     Args:
         gains: Of `estimate_gains`, None: those of the images.
     """
-    pixels = (
-        np.nan_to_num(blended_panorama(depth, gains, finer(depth, width))).round().astype(np.uint8)
-    )
+    return as_picture(blended_panorama(depth, gains, finer(depth, width)))
+
+
+def as_picture(blended: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return a blended panorama as uint8 RGB; unknown is black."""
+    pixels = np.nan_to_num(blended).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 
@@ -235,21 +238,15 @@ def draw_points(
     spacing = 2 * np.pi / np.sqrt(8 * len(points))  # about the angle between rays
     sides = np.clip(np.ceil(focal * spacing * reach), 1, _LARGEST).astype(int)
     depth = np.full((height, width), np.inf)
+    left, top, far = u - sides / 2, v - sides / 2, z[order]
     for row, column in np.ndindex(_LARGEST, _LARGEST):
-        at_u, at_v = (
-            np.floor(u + column - sides / 2).astype(int),
-            np.floor(v + row - sides / 2).astype(int),
-        )
-        drawn = (
-            (np.maximum(row, column) < sides)
-            & (at_u >= 0)
-            & (at_u < width)
-            & (at_v >= 0)
-            & (at_v < height)
-        )
-        drawn[drawn] = z[order][drawn] < depth[at_v[drawn], at_u[drawn]]
+        some = np.flatnonzero(sides > max(row, column))
+        at_u = np.floor(left[some] + column).astype(int)
+        at_v = np.floor(top[some] + row).astype(int)
+        drawn = (at_u >= 0) & (at_u < width) & (at_v >= 0) & (at_v < height)
+        drawn[drawn] = far[some[drawn]] < depth[at_v[drawn], at_u[drawn]]
         where = at_v[drawn], at_u[drawn]  # of several points the last, and so the nearest, stays
-        picture[where], depth[where] = colors[order][drawn], z[order][drawn]
+        picture[where], depth[where] = colors[order[some[drawn]]], far[some[drawn]]
     return picture
 
 
