@@ -61,7 +61,7 @@ def test_it_counts_what_was_saved(copies, tmp_path, capsys):
         page,
     )
     assert first == [(exercises.functions("00")[0].name, "00")]
-    assert "03 Sphere sweep: 1 of 5\n" in capsys.readouterr().out
+    assert "03 Sphere sweep: 1 of 6\n" in capsys.readouterr().out
 
 
 @pytest.mark.slow
