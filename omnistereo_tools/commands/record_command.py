@@ -138,7 +138,7 @@ def run(options: RecordOptions) -> int:
     )
     first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
     precision = kept_precision("auto", read_facts(out / SETTINGS))
-    writer = DepthWriter(out, recording, sweep, first_method, ".tiff", with_video, precision)
+    writer = DepthWriter(out, recording, sweep, first_method, with_video, precision)
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)

@@ -100,7 +100,6 @@ class RecordingTask:
     images: tuple[Path, ...]
     grid: SphereGrid
     method: Method
-    suffix: str
     with_video: bool
     device: str
     precision: Precision
@@ -115,9 +114,7 @@ class RecordingTask:
             )
         sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
         recording, method = Recording.open(self.images, late=self.late), self.method
-        return DepthWriter(
-            self.out, recording, sweep, method, self.suffix, self.with_video, self.precision
-        )
+        return DepthWriter(self.out, recording, sweep, method, self.with_video, self.precision)
 
 
 def _contents(out: Path) -> str:
@@ -136,7 +133,6 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
         tuple(path.resolve() for path in writer.recording.paths),
         grid,
         writer.method,
-        writer.suffix,
         writer.with_video,
         device,
         choose_precision(writer.precision, writer.sweep.device),

@@ -64,8 +64,6 @@ from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.record.watching import Watching
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
-# of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
-_PNG_STEPS = 65500
 OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
 PICTURES = "pictures.json"
@@ -89,9 +87,6 @@ class DepthWriter:
     recording: Recording
     sweep: SphereSweep
     method: Method
-    #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely
-    #: far
-    suffix: str
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
     precision: Precision = "auto"  #: of networks; see `kept_precision`
 
@@ -99,7 +94,7 @@ class DepthWriter:
         """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or
         "trust".
         """
-        return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
+        return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}.tiff"
 
     def picture_path(self, number: int) -> Path:
         """Return where the video frame of a frame is stored."""
@@ -118,11 +113,7 @@ class DepthWriter:
 
     def read(self, kind: str, number: int) -> NDArray[np.float32]:
         """Read a panorama of a frame, (H, W); see `path`."""
-        return read_inverse_depth(self.path(kind, number), self._unit(kind))
-
-    def _unit(self, kind: str) -> float:
-        """Return the value in metres, or the number, whose inverse 16 bits reach."""
-        return self.sweep.grid.min_depth if kind == "depth_estimate" else 1.0
+        return read_inverse_depth(self.path(kind, number))
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
@@ -213,7 +204,7 @@ class DepthWriter:
         )
         if any(self.recording.late):
             sizes["late_s"] = [late / 1e9 for late in self.recording.late]
-        return sizes | {"min_depth": grid.min_depth, "depth": self.suffix, "provenance": made}
+        return sizes | {"min_depth": grid.min_depth, "depth": ".tiff", "provenance": made}
 
     def prepare(self, rig: Rig) -> None:
         """Make the folder `out` or continue what is in it.
@@ -255,17 +246,9 @@ class DepthWriter:
             # the same colours in all frames
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)
             write_image(self.picture_path(number), draw_frame(depth, None, trusted, scale, note))
-        self._write_panorama("confidence", number, depth.confidence)
-        self._write_panorama("trust", number, trusted)
-        self._write_panorama("depth_estimate", number, depth.inverse_depth)
-
-    def _write_panorama(self, kind: str, number: int, values: NDArray[Any]) -> None:
-        path = self.path(kind, number)
-        if self.suffix == ".tiff":
-            write_inverse_depth(path, values)
-            return
-        steps = np.nan_to_num(values) * (_PNG_STEPS * self._unit(kind))
-        write_image(path, steps.round().clip(0, 65535).astype(np.uint16))
+        write_inverse_depth(self.path("confidence", number), depth.confidence)
+        write_inverse_depth(self.path("trust", number), trusted)
+        write_inverse_depth(self.path("depth_estimate", number), depth.inverse_depth)
 
     def doubt_shares(self) -> tuple[float, float]:
         """Return how many percent of the rays of the recording are doubtful, and of the nearest
