@@ -131,7 +131,8 @@ def _lens(row: Dialect, cam: Section, path: Path, n: int) -> Lens:
     names = " and ".join(cam.at(place)[1] for place in row.size.split())
     size = parse_size(sides if len(sides) > 1 else sides[0], names)
     parameters = dict(spec(cam) if callable(spec) else numbers(cam, spec))
-    parameters |= {axis: parameters[axis] - row.origin for axis in ("cx", "cy")}
+    shared = {"cx", "cy"} & parameters.keys()  # what is missing is named below
+    parameters |= {axis: parameters[axis] - row.origin for axis in shared}
     name = row.mask(cam, n)
     file = None if name is None else path_within(path.parent, name, path)
     mask = None

@@ -62,6 +62,7 @@ RIGS = [
     ("a.json", basalt(T_imu_cam=[NO_ROTATION] * 2), "length 0; expected 1"),
     ("a.json", basalt(intrinsics=[K3, K3]), "'k3' is a parameter of a lens that is not"),
     ("a.json", basalt(intrinsics=[K3 | {"intrinsics": LINEAR | {"fx": 0.4}}] * 2), "fx = 0.4"),
+    ("a.json", basalt(intrinsics=[{"camera_type": "kb4", "intrinsics": {"fx": 225.0, "fy": 225.0, "cx": 250.0}}] * 2), "'fx', 'fy', 'cx', 'cy'.*found"),
     ("a.json", basalt(T_imu_cam=7), "expected lists of one T_imu_cam, intrinsics, resolution each per camera"),
     ("a.json", basalt(T_imu_cam=[], intrinsics=[], resolution=[]), "found no camera of basalt JSON"),
     ("a.json", {"value0": {k: v[:1] for k, v in basalt()["value0"].items()}}, "basalt JSON of one camera; a rig needs"),
