@@ -79,20 +79,21 @@ def blended_panoramas(
     weights = depth.sweep.keep(
         "weights", lambda: [_distance_from_rim(c)[..., None] ** 2 for c in depth.sweep.rig.cameras]
     )
-    totals: list[NDArray[Any]] = [np.zeros(1, np.float32)] * len(factors)
+    totals: list[Any] = [np.float32(0)] * len(factors)
     no_second: Any = None  # see `remap`
     places = zip(*(_pixels(depth, factor) for factor in factors), strict=True)
     for maps, weight, image, gain in zip(places, weights, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         shares = np.dstack([bright * weight, weight])
-        seen = [cv2.remap(shares, one, no_second, cv2.INTER_LINEAR) for one in maps]
-        totals = [total + one for total, one in zip(totals, seen, strict=True)]
-    found = []
-    for total in totals:
-        *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
-        with np.errstate(invalid="ignore"):
-            found.append(cv2.merge([(color / sums).clip(0, 255) for color in colors]))
-    return [np.asarray(one, np.float32) for one in found]
+        for k, one in enumerate(maps):
+            totals[k] += cv2.remap(shares, one, no_second, cv2.INTER_LINEAR)
+    return [*map(_divided, totals)]
+
+
+def _divided(total: NDArray[np.float32]) -> NDArray[np.float32]:
+    *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
+    with np.errstate(invalid="ignore"):
+        return np.asarray(cv2.merge([(color / sums).clip(0, 255) for color in colors]), np.float32)
 
 
 def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:

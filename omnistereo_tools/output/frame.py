@@ -150,14 +150,15 @@ class FrameResult:
     @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, RGB, sharper than the depth; a mesh's texture."""
-        return as_picture(self._blended[1])
+        return self._blended[1]
 
     @lazy_property
-    def _blended(self) -> list[NDArray[np.float32]]:
+    def _blended(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """The blended panorama of a ray a pixel, and the sharper one."""
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
         factors = 1, finer(self.depth, round(min(_SHARP * held, _WIDEST)))
-        return blended_panoramas(self.depth, estimate_gains(self.depth), factors)
+        colors, sharp = blended_panoramas(self.depth, estimate_gains(self.depth), factors)
+        return colors, as_picture(sharp)
 
     @property
     def _colors(self) -> NDArray[np.float32]:
