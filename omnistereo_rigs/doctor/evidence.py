@@ -37,9 +37,7 @@ _CELL = 4
 
 @dataclass(frozen=True, order=True)
 class Flip:
-    """How a picture was rotated (by quarter turns clockwise) after it was perhaps mirrored left to
-    right.
-    """
+    """How a picture was mirrored left to right, and then rotated, in quarter turns clockwise."""
 
     quarters: int = 0
     mirrored: bool = False
@@ -53,9 +51,7 @@ class Flip:
         return " and ".join(words)
 
     def undo(self, pixels: Floats, size: tuple[int, int]) -> Floats:
-        """Return where pixels (..., 2) of the picture lie in the one that the camera took, of the
-        same size.
-        """
+        """Return where pixels (..., 2) lie in the picture that the camera took."""
         # About the centre of the picture: turn back by quarters, then mirror back. This is the
         # reverse order of the changes.
         middle = (np.array(size) - 1) / 2
@@ -73,9 +69,7 @@ def flips(size: tuple[int, int]) -> list[Flip]:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Matches of two pictures: pixels (M, 2) of the first and of the second, and how sure they are
-    (low is sure).
-    """
+    """Matches of two pictures: pixels (M, 2) in each, and how sure they are (low is sure)."""
 
     first: Floats
     second: Floats
@@ -136,9 +130,7 @@ class Evidence:
         return {pair: pose for pair, pose in found.items() if pose is not None and pose.believable}
 
     def rays(self, cameras: Sequence[OcamCamera], pair: Pair) -> tuple[Floats, Floats]:
-        """Return the unit rays (M, 3) of the matches of a pair of pictures, seen through these
-        cameras.
-        """
+        """Return the unit rays (M, 3) of a pair's matches, seen through these cameras."""
         i, j = pair
         return self._seen(cameras[i], pair, 0), self._seen(cameras[j], pair, 1)
 
@@ -192,9 +184,7 @@ def unit_rays(camera: OcamCamera, pixels: Floats) -> Floats:
 
 
 def explained(a: Pose, b: Pose, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Return which matched rays (M, 3) of two cameras, T_rig_cam, meet in front of both, within
-    `LIMIT`.
-    """
+    """Return which matched rays (M, 3) of two cameras meet in front of both, within `LIMIT`."""
     return off_plane(a, b, x, y) < LIMIT
 
 

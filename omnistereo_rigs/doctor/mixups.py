@@ -10,13 +10,14 @@ the simplest of those that fit.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations, permutations, product
+from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_rigs.doctor.pictures import order_name, orders
 from omnistereo_rigs.images.relative_pose import RelativePose
 
 # A mix-up fits if the rotations, and the directions of the baselines, are within so many degrees.
@@ -28,8 +29,6 @@ _AIM_WEIGHT = 0.05
 _AS_GOOD = (1.3, 0.1)
 # A mix-up is clear if its misfit is below this share of the next best that is as simple.
 _CLEAR = 0.6
-# For up to so many cameras all orders are tried.
-_MOST = 4
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 _SIDES = (("right", "left"), ("down", "up"), ("ahead", "back"))
 
@@ -52,9 +51,7 @@ class Explanation:
         return self.turn_deg + _AIM_WEIGHT * self.aim_deg
 
     def apply(self, rig: Rig) -> Rig:
-        """Return the rig with the mix-up undone, in the frame of its file, its cameras in the order
-        of the images.
-        """
+        """Return the rig with the mix-up undone, in its file's frame, ordered as the images."""
         poses = [Pose(R, t) for R, t in zip(self.R, self.t, strict=True)]
         return Rig([rig.cameras[k] for k in self.order], poses, rig.min_depth)
 
@@ -100,7 +97,7 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
     same = tuple(range(len(rig)))
     # Images of different sizes cannot have been swapped.
     sizes = [camera.image_size for camera in rig.cameras]
-    orders = [order for order in _orders(len(rig)) if [sizes[k] for k in order] == sizes]
+    tried = [order for order in orders(len(rig)) if [sizes[k] for k in order] == sizes]
     # Angles read as an axis-angle vector: for each camera the length may have wrapped around or
     # not.
     angles = [
@@ -109,10 +106,10 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
     ]
     # Every form of the poses in every order of the images, and in each the 24 turns of the camera
     # axes.
-    for (name, form), order in (*product(_FORMS.items(), orders), *product(angles, [same])):
+    for (name, form), order in (*product(_FORMS.items(), tried), *product(angles, [same])):
         R_order, t_order = (part[list(order)] for part in form(R, t))
         for axes, turn, aim in _misfits(R_order, t_order, pairs):
-            parts = (*_names(name, axes), *(() if order == same else (_order_name(order),)))
+            parts = (*_names(name, axes), *(() if order == same else (order_name(order),)))
             yield Explanation(
                 " and ".join(parts), len(parts), R_order @ _turns()[axes], t_order, order, turn, aim
             )
@@ -138,9 +135,7 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
 def _misfits(
     R: Floats, t: Floats, pairs: Mapping[tuple[int, int], RelativePose], only: int | None = None
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield number, turn and aim in degrees for each rotation of the camera axes, of all cameras or
-    of one.
-    """
+    """Yield number, turn and aim in degrees for each rotation of the axes, of all or one."""
     # With poses R_k S of the turned cameras, the relative pose of i and j that the file means is
     #     R_ji = S_jᵀ R_jᵀ R_i S_i,   t_ji ∝ S_jᵀ R_jᵀ (c_i - c_j)
     # Its angle to the measured R is arccos((trace(R_jiᵀ R) - 1) / 2), for all pairs and turns at
@@ -176,33 +171,9 @@ def _turns() -> Floats:
     return np.stack([S for S in found if np.linalg.det(S) > 0])
 
 
-def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Yield the orders of the images, the given one first: all up to four cameras, else two swapped
-    or all moved on.
-    """
-    same = tuple(range(count))
-    if count <= _MOST:
-        yield from permutations(same)
-        return
-    yield same
-    for i, j in combinations(same, 2):
-        yield tuple({i: j, j: i}.get(k, k) for k in same)
-    for k in same[1:]:
-        yield same[k:] + same[:k]
-
-
-def _order_name(order: Sequence[int]) -> str:
-    return (
-        "the images look swapped (give them in the order"
-        f" {' '.join(str(k + 1) for k in np.argsort(order))})"
-    )
-
-
 @cache
 def _names(form: str, axes: int, images: str = "all images look") -> tuple[str, ...]:
-    """Return the names of a form and of a rotation of the camera axes, those that are none left
-    out.
-    """
+    """Return the names of a form and of a rotation of the camera axes, if they are any."""
     S = _turns()[axes]
     if form == _MIRRORED and (np.diag(S) == [-1, 1, -1]).all():
         return (f"{images} mirrored",)

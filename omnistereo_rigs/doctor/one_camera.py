@@ -41,9 +41,7 @@ def free_poses(evidence: Evidence, rig: Rig, pairs: dict[Pair, RelativePose]) ->
 
 
 def free_focal_lengths(evidence: Evidence, rig: Rig) -> list[Freed]:
-    """Return the rig with the focal length of each camera freed, and of all alike; the one that
-    explains most first.
-    """
+    """Return the rig with each focal length freed, and with all alike, the best first."""
     everyone = tuple(range(len(rig)))
     found = []
     for cameras in (*((k,) for k in everyone), everyone):
@@ -116,9 +114,7 @@ def _starts(rig: Rig, k: int, pairs: dict[Pair, RelativePose]) -> list[Pose]:
 
 
 def _fit(start: Pose, x: Floats, y: Floats, c: Floats) -> Pose:
-    """Return the pose of a camera whose rays x (M, 3) meet the rays y from the centres c, rig
-    frame.
-    """
+    """Return the pose of a camera whose rays x (M, 3) meet rays y from centres c, rig frame."""
 
     def pose(p: Floats) -> Pose:
         return Pose(rotation_from_axis_angle(p[:3]) @ start.R, start.t + p[3:])

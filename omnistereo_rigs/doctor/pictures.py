@@ -1,6 +1,4 @@
-"""Pictures that were rotated, mirrored or given in another order, also in combination: what
-explains most.
-"""
+"""Pictures that were rotated, mirrored or given in another order, also in combination."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,9 +19,7 @@ _PART = 0.04
 
 @dataclass(frozen=True)
 class PictureMixup:
-    """What may have been done to the pictures of a rig, and how many matches are explained with it
-    undone.
-    """
+    """What may have been done to pictures, and how many matches are explained if it is undone."""
 
     order: tuple[int, ...]  # picture k is of camera order[k]
     flips: tuple[Flip, ...]  # of each picture
@@ -53,8 +49,7 @@ class PictureMixup:
         """What was done, in words; "" if nothing was."""
         said = []
         if self.order != tuple(range(len(self.order))):
-            give = " ".join(str(k + 1) for k in np.argsort(self.order))
-            said.append(f"the images look swapped (give them in the order {give})")
+            said.append(order_name(self.order))
         done = [flip for flip in self.flips if flip != Flip()]
         if len(done) == len(self.flips) and len(set(done)) == 1:
             return " and ".join([*said, f"all images look {done[0].name}"])
@@ -75,7 +70,7 @@ def picture_mixups(evidence: Evidence, rig: Rig, mirrored: bool) -> list[Picture
     known = [[flip for flip in flips(size) if mirrored or not flip.mirrored] for size in sizes]
     scores = _Scores(evidence, rig)
     found = []
-    for order in orders(count):
+    for order in orders(count) if count <= _MANY else [tuple(range(count))]:
         if [sizes[k] for k in order] == sizes:
             for done in _patterns(known):
                 found.append(PictureMixup(order, done, scores.total(order, done)))
@@ -91,18 +86,20 @@ def orders(count: int) -> Iterator[tuple[int, ...]]:
         yield from permutations(same)
         return
     yield same
-    if count > _MANY:
-        return
     for i, j in combinations(same, 2):
         yield tuple({i: j, j: i}.get(k, k) for k in same)
     for k in same[1:]:
         yield same[k:] + same[:k]
 
 
+def order_name(order: Sequence[int]) -> str:
+    """Return in words that images were given in another order."""
+    give = " ".join(str(k + 1) for k in np.argsort(order))
+    return f"the images look swapped (give them in the order {give})"
+
+
 def _patterns(known: Sequence[Sequence[Flip]]) -> Iterator[tuple[Flip, ...]]:
-    """Yield what may have been done to each picture: nothing, something to one or to two, the same
-    to all.
-    """
+    """Yield what was done to each picture: nothing, something to one or two, the same to all."""
     none = tuple(Flip() for _ in known)
     yield none
     for cameras in (*combinations(range(len(known)), 1), *combinations(range(len(known)), 2)):

@@ -140,9 +140,7 @@ def check_rig(
 
 
 def find_mixup(frame: Frame) -> str | None:
-    """Return what is mixed up, in words, or None if nothing is; a quick look, without measuring
-    poses.
-    """
+    """Return what is mixed up, in words, or None; a quick look, without measuring poses."""
     evidence = _evidence(frame.rig, frame.images)
     found = _mixup(evidence, frame.rig, _best(evidence, frame.rig))
     return found.text if found and found.fits is False else None
@@ -260,9 +258,7 @@ def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
 
 
 def _odd(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
-    """Return which camera shows something else than the others, which agree with each other; None
-    if none does.
-    """
+    """Return which camera shows something else than the others, which agree; None if none does."""
     if len(rig) < 3:
         return None
     # For each camera: the share of its matches that fit, and that of the matches without it. The
@@ -303,9 +299,7 @@ def _measured(
 
 
 def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
-    """Return the rig with the poses of the images, of the size and about in the place of the given
-    one.
-    """
+    """Return the rig with the poses of the images, of the size and about in the given place."""
     # The chain is in the frame of camera 1 and of any size: scale, turn and shift it onto the given
     # rig.
     poses = chain_poses(pairs, len(rig))
@@ -327,9 +321,7 @@ def _compared(
     min_depth: float | None,
     freed: Sequence[int],
 ) -> RigCheck:
-    """Return how the poses of the rig differ from those measured, in words; `freed` are cameras
-    known to be off.
-    """
+    """Return how the poses differ from those measured; `freed` are cameras known to be off."""
     differences = pose_differences(measured.rig, rig)
     turn_sd, shift_sd = measured.deviations.T
     limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
@@ -443,9 +435,7 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
 
 
 def _put_right(rig: Rig, found: Rig, accused: Sequence[int]) -> dict[int, Pose]:
-    """Return the poses of the accused cameras, once all others of a rig that was found lie on those
-    given.
-    """
+    """Return the poses of the accused cameras, once the others lie on those given."""
     # A similarity (rotation, scale, shift) brings the innocent cameras of the measured rig onto the
     # given ones; it then tells where the accused cameras belong. Of two cameras the first stays.
     others = [k for k in range(len(rig)) if k not in accused] or list(range(len(rig)))
@@ -464,9 +454,7 @@ def _put_right(rig: Rig, found: Rig, accused: Sequence[int]) -> dict[int, Pose]:
 
 
 def _yaw_pitch_roll(turn: Floats) -> str:
-    """Return a rotation (3,) about the camera's axes, radians, in words: the parts that matter, the
-    largest first.
-    """
+    """Return a rotation (3,) about the camera's axes in words, the largest part first."""
     names = (
         ("pitch", "up", "down"),
         ("yaw", "right", "left"),
@@ -491,9 +479,7 @@ def _length(metres: float) -> str:
 
 
 def _unit(measured: MeasuredRig, min_depth: float | None) -> str | None:
-    """Return what the nearest points say about the unit of the translations, if it cannot be
-    right.
-    """
+    """Return what the nearest points say about the unit, if it cannot be right."""
     if min_depth is None:
         return None
     # One point in a hundred is nearer. If the rig is read in the wrong unit, all depths are wrong

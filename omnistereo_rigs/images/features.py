@@ -74,9 +74,7 @@ class FeatureFinder:
                 self.views.append((R, uv.astype(np.float32), inside & nearest))
 
     def find(self, image: NDArray[np.uint8]) -> Features:
-        """Return the features of an image, (H, W) or RGB (H, W, 3) uint8; each by the view that
-        sees it best.
-        """
+        """Return the features of an image, (H, W[, 3]) uint8, each by its best view."""
         gray = (
             image
             if image.ndim == 2
@@ -219,9 +217,7 @@ class Tracks:
         return frames
 
     def select(self, keep: NDArray[np.bool_]) -> Tracks:
-        """Return the observations where `keep`, shape (M,), is True, of points that still have two;
-        numbered anew.
-        """
+        """Return observations where `keep` (M,), of points that still have two, numbered anew."""
         counts = np.bincount(self.point[keep], minlength=self.num_points)
         keep = keep & (counts[self.point] > 1)
         points = np.unique(self.point[keep], return_inverse=True)[1]

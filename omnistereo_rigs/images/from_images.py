@@ -76,9 +76,7 @@ class MeasuredRig:
 
     @property
     def deviations(self) -> Floats:
-        """Standard deviations of each camera's rotation in degrees and of its centre in metres,
-        (cameras, 2).
-        """
+        """Standard deviations of rotation in degrees and of centre in metres, (cameras, 2)."""
         blocks = np.diag(self.covariance).reshape(-1, 2, 3)
         return np.sqrt(blocks.sum(axis=2)) * [180 / np.pi, 1.0]
 
@@ -97,9 +95,7 @@ class MeasuredRig:
 
     @property
     def changes(self) -> Floats:
-        """By how much each camera is rotated, degrees, and shifted, metres, against the given rig,
-        (cameras, 2).
-        """
+        """Rotation in degrees and shift in metres from the given rig, (cameras, 2)."""
         return np.linalg.norm(self.differences.reshape(-1, 2, 3), axis=2) * [180 / np.pi, 1.0]
 
     def refusals(self) -> list[str]:
@@ -134,9 +130,7 @@ def find_features(
 
 
 def find_pairs(features: Sequence[Sequence[Features]]) -> dict[tuple[int, int], RelativePose]:
-    """Return the believable relative poses of pairs of cameras, from the matches of all frames,
-    without any prior.
-    """
+    """Return the believable relative poses of pairs, from the matches of all frames alone."""
     # All frames vote together, since the cameras do not move against each other.
     pairs = {}
     for i, j in combinations(range(len(features[0])), 2):
@@ -153,9 +147,7 @@ def find_pairs(features: Sequence[Sequence[Features]]) -> dict[tuple[int, int], 
 
 
 def relative_poses(rig: Rig) -> dict[tuple[int, int], RelativePose]:
-    """Return the relative poses of all pairs of cameras of a rig, as if all matches had agreed on
-    them.
-    """
+    """Return the relative poses of all pairs of a rig, as if all matches agreed on them."""
     found = {}
     for i, j in combinations(range(len(rig)), 2):
         T = rig.T_rig_cam[j].inverse() @ rig.T_rig_cam[i]
@@ -228,9 +220,7 @@ def rig_from_pairs(
 
 
 def find_tracks(rig: Rig, features: Sequence[Sequence[Features]], band_deg: float) -> Tracks:
-    """Return the tracks of matches that are within a band of the epipolar planes of the rig's
-    poses.
-    """
+    """Return the tracks of matches near the epipolar planes of the rig's poses."""
     T, pairs = rig.T_rig_cam, list(combinations(range(len(rig)), 2))
     matches = [
         {
@@ -292,9 +282,7 @@ def measure_rig(
 
 
 def in_odd_sector(directions: Floats) -> NDArray[np.bool_]:
-    """Return whether directions (..., 3) lie in the odd ones of twelve sectors around the y
-    axis.
-    """
+    """Return whether directions (..., 3) are in odd ones of twelve sectors around the y axis."""
     return (
         np.floor(np.degrees(np.arctan2(directions[..., 0], directions[..., 2])) / _SECTOR_DEG) % 2
         == 1
@@ -309,9 +297,7 @@ def adjust_tracks(
     free_lenses: bool = False,
     progress: Progress = silent,
 ) -> TrackBundle:
-    """Adjust a rig to tracks: from a wide robust scale to a narrow one, then twice with patches
-    matched anew.
-    """
+    """Adjust a rig to tracks, from a wide robust scale to a narrow one, then patches twice."""
     step = counted(progress, 3)
     if tracks.num_points < _FEWEST:
         raise OmnistereoError(

@@ -1,6 +1,4 @@
-"""Least-squares matching: observations of a track to a tenth of a pixel, from patches of the images
-themselves.
-"""
+"""Least-squares matching: observations to a tenth of a pixel, from patches of the images."""
 
 from collections.abc import Sequence
 
@@ -45,9 +43,7 @@ def refine_tracks(bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint
 
 
 class _PatchMatcher:
-    """The patches of all observations but those of the reference cameras: P of them, 169 pixels
-    each.
-    """
+    """The patches (P, 169) of all observations but those of the reference cameras."""
 
     def __init__(self, bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint8]]]) -> None:
         self.bundle, tracks = bundle, bundle.tracks
@@ -74,9 +70,7 @@ class _PatchMatcher:
         self.window = window / window.sum()
 
     def best_planes(self) -> Floats:
-        """Return the normal (P, 3) of the plane that matches best: facing the rig, level, or one of
-        two walls.
-        """
+        """Return the normal (P, 3) that matches best: facing, level, or one of two walls."""
         u, down = self.u, np.array([0.0, 1.0, 0.0])
         flat, aside = u * [1.0, 0.0, 1.0], np.cross(down, u)
         normals, best = u.copy(), np.full(len(u), -1.0)
@@ -125,9 +119,7 @@ class _PatchMatcher:
         return shift, good
 
     def _pixels(self, camera: NDArray[np.int64], normals: Floats) -> Floats:
-        """Return where cameras (P,) see the patches of planes with these normals through the
-        points, (P, 169, 2).
-        """
+        """Return where cameras (P,) see patches of planes through the points, (P, 169, 2)."""
         bundle, u = self.bundle, self.u
         right = np.cross([0.0, 1.0, 0.0], u)
         right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
@@ -147,9 +139,7 @@ class _PatchMatcher:
         return uv
 
     def _sample(self, camera: NDArray[np.int64], uv: Floats, layer: int = 0) -> NDArray[np.float32]:
-        """Return gray values (P, 169), or their slopes, where cameras (P,) of the patches' frames
-        have pixels uv.
-        """
+        """Return gray values (P, 169), or slopes, where cameras (P,) have pixels uv."""
         values = np.zeros(uv.shape[:2], np.float32)
         for (frame, i), layers in self.layers.items():
             mine = (self.frame == frame) & (camera == i)

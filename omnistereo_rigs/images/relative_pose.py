@@ -59,9 +59,7 @@ def epipolar_residuals(E: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def eight_point(x: Floats, y: Floats) -> Floats:
-    """Return the essential matrices (..., 3, 3) of 8 or more pairs of unit rays (..., M, 3)
-    each.
-    """
+    """Return essential matrices (..., 3, 3) of 8 or more pairs of unit rays (..., M, 3)."""
     # Each match gives one equation Σ y_i x_j E_ij = 0. The nine numbers that solve all of them best
     # are the last singular vector (Longuet-Higgins 1981; Hartley and Zisserman 2004, Section 11.1).
     equations = (y[..., :, None] * x[..., None, :]).reshape(*x.shape[:-1], 9)

@@ -82,18 +82,14 @@ class TrackBundle:
         self.points = self._triangulate()
 
     def with_tracks(self, tracks: Tracks) -> TrackBundle:
-        """Return the bundle of other tracks, started at the poses and lenses found; priors stay
-        where they were.
-        """
+        """Return the bundle of other tracks, at the poses and lenses found; priors stay."""
         other = TrackBundle(self.rig, tracks, self.centre_sd, self.free_lenses)
         other.R, other.t, other.lens = self.R, self.t, self.lens
         other.points = other._triangulate()
         return other
 
     def _observed(self) -> tuple[Floats, Floats, Floats]:
-        """Return the observed rays (M, 3), the matrices (M, 2, 3) ray → pixels there, and pixels
-        from the centre.
-        """
+        """Return the rays (M, 3), matrices (M, 2, 3) ray → pixels, and pixels from the centre."""
         rays, to_px = (
             np.zeros((len(self.tracks.point), 3)),
             np.zeros((len(self.tracks.point), 2, 3)),
@@ -118,9 +114,7 @@ class TrackBundle:
         return rays, to_px, from_center
 
     def _triangulate(self) -> Floats:
-        """Return u and ρ of each point at the initial poses: the linear solution, an
-        eigenvector.
-        """
+        """Return u and ρ of each point at the initial poses: the linear solution."""
         camera, point = self.tracks.camera, self.tracks.point
         # A point lies on the ray d of a camera at t if nothing of u - ρ t lies across d. So
         # minimise
@@ -145,9 +139,7 @@ class TrackBundle:
         return self._residuals()[0]
 
     def _residuals(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the residuals, the rays in rig and camera frame, (M, 3) each, and the lengths of
-        the latter (M, 1).
-        """
+        """Return residuals, rays in rig and camera frame, (M, 3) each, and the latter's lengths."""
         camera, point = self.tracks.camera, self.tracks.point
         # The predicted ray of an observation is Rᵀ (u - ρ t), scaled to length 1.
         in_rig = self.points[point, :3] - self.points[point, 3:] * self.t[camera]
@@ -163,9 +155,7 @@ class TrackBundle:
         return residuals + lens[:, :2] + lens[:, 2:] * self._from_center, in_rig, seen, length
 
     def misfits(self) -> Floats:
-        """Return the squared residuals of each point over noise and degrees of freedom, (N,); 1 is
-        usual.
-        """
+        """Return the squared residuals of each point by noise and freedom, (N,); 1 is usual."""
         return self._sums((self.residuals() ** 2).sum(axis=1)) / self.sigma_px**2 / self.dof
 
     def _linearised(self) -> tuple[Floats, Floats, Floats]:
@@ -262,9 +252,7 @@ class TrackBundle:
         return float((self.dof * misfits / (1 + misfits / scale**2)).sum()) + prior
 
     def solve(self, scale: float, steps: int) -> None:
-        """Minimise the robust cost by Levenberg-Marquardt; the rig keeps its place, its size and
-        its mean rotation.
-        """
+        """Minimise the robust cost by Levenberg-Marquardt; the rig keeps its place and size."""
         cost, damping = self._cost(scale), 1e-3
         for _ in range(steps):
             # Levenberg-Marquardt: a step that lowers the cost is kept, and the next one is damped
@@ -328,9 +316,7 @@ class TrackBundle:
         return replace(self.rig, cameras=tuple(cameras), T_rig_cam=tuple(poses))
 
     def _gauge(self) -> Floats:
-        """Return the directions (cameras · width, 7) that change no ray: rotation, shift and scale
-        of everything.
-        """
+        """Return the directions (cameras · width, 7) that change no ray."""
         # A common rotation ω moves the centres by ω × t = -[t]ₓ ω, a shift moves all alike, and a
         # common scale moves each centre along t.
         G = np.zeros((len(self.rig), self.width, _GAUGE))
@@ -391,9 +377,7 @@ class TrackBundle:
         return np.asarray(Z @ np.linalg.inv(Z.T @ (S + np.diag(self._prior()[0])) @ Z) @ Z.T)
 
     def _projection(self) -> Floats:
-        """Return the matrix that takes away what `pose_differences` takes away: a common rotation,
-        shift and scale.
-        """
+        """Return the matrix that takes away what `pose_differences` takes away."""
         G = self._gauge().reshape(len(self.rig), self.width, 7)[:, :6].reshape(-1, 7)
         # P = I - G (L G)⁻¹ L. The rows of L take the mean rotation, the mean shift and the growth
         # of a change of the poses, and P moves it along the gauge until all three are 0.
@@ -450,9 +434,7 @@ def whitening(covariance: Floats) -> Floats:
 
 
 def by_moving(rig: Rig, camera: int) -> Floats:
-    """Return the derivative (6 · cameras, 6) of `pose_differences` by the turn and the shift of one
-    camera.
-    """
+    """Return the derivative (6 · cameras, 6) of `pose_differences` by one camera's pose."""
     step, columns = 1e-5, []
     for change in step * np.eye(6):
         moved = np.zeros((len(rig), 6))

@@ -28,9 +28,7 @@ _AT_M = 10.0  # the distance that a warning speaks of
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """The rig as a few frames show it: `MeasuredRig.differences` from the file, and their
-    covariance.
-    """
+    """The rig as a few frames show it: `MeasuredRig.differences` and their covariance."""
 
     frame: int  # number of its first frame
     differences: Floats  # (cameras, 6): radians, metres
@@ -56,9 +54,7 @@ class Turned:
 
 
 def look_at(rig: Rig, frame: int, images: Images) -> Look | None:
-    """Measure a rig in the images of a few moments, images[moment][camera]; None if they show too
-    little.
-    """
+    """Measure a rig in images[moment][camera]; None if they show too little."""
     try:
         measured = measure_rig(rig, images, "nominal")
     except OmnistereoError:  # hardly any matches
@@ -79,9 +75,7 @@ class Watch:
         self._suspect: Turned | None = None
 
     def add(self, look: Look) -> str | None:
-        """Compare the last looks with the first ones; return a warning when the same camera is
-        named twice in a row.
-        """
+        """Compare the last looks with the first; warn when a camera is named twice in a row."""
         self.looks.append(look)
         before, self._suspect = self._suspect, self._who()
         now = self._suspect
@@ -101,9 +95,7 @@ class Watch:
         )
 
     def _who(self) -> Turned | None:
-        """Return the camera that has turned beyond doubt, by one look or by the mean of several;
-        None if none has.
-        """
+        """Return the camera that has turned beyond doubt, by one look or the mean of several."""
         groups = [
             self.looks[-count:] for count in _TOGETHER if len(self.looks) - count >= REFERENCE
         ]
@@ -112,9 +104,7 @@ class Watch:
         return best if best is not None and best.p_value * len(found) < _SURE else None
 
     def change(self, looks: Sequence[Look]) -> tuple[Floats, Floats]:
-        """Return how the rig differs in looks from the first ones, (cameras, 6), and the covariance
-        of that.
-        """
+        """Return how looks differ from the first ones, (cameras, 6), and the covariance of that."""
         first = self.looks[:REFERENCE]
         # By how much more than their covariances say the first looks differ.
         apart = []
@@ -131,9 +121,7 @@ class Watch:
         return len(self.looks) > REFERENCE
 
     def turns(self, look: Look) -> Floats:
-        """Return by how much each camera is turned in a look, and the standard deviation, degrees
-        (cameras, 2).
-        """
+        """Return each camera's turn in a look and its deviation, degrees (cameras, 2)."""
         change, covariance = self.change([look])
         blocks = np.diag(covariance).reshape(-1, 2, 3)[:, 0].sum(axis=1)
         return np.degrees(
@@ -149,9 +137,7 @@ class Watch:
 
 
 def who_turned(rig: Rig, change: Floats, covariance: Floats, since: int = 0) -> Turned:
-    """Return the camera whose turn explains a change (cameras, 6) best, by whitened least
-    squares.
-    """
+    """Return the camera whose turn explains a change (cameras, 6) best."""
     white = whitening(covariance)
     # numbers that tell how much the first looks disagree
     known = (REFERENCE - 1) * len(white)

@@ -1,6 +1,4 @@
-"""Masks of the cameras: from files, or by the image circle, beyond which a fisheye image is
-black.
-"""
+"""Masks of the cameras: from files, or by the image circle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -107,9 +105,7 @@ def measure_circle(
 
 
 def _edge_points(lit: NDArray[np.bool_], center: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the outermost lit pixel (u, v) in each of 360 directions in which the image ends
-    black, shape (N, 2).
-    """
+    """Return the outermost lit pixel in each of 360 directions that end black, (N, 2)."""
     height, width = lit.shape
     azimuth, radii = np.radians(np.arange(360)), np.arange(float(np.hypot(height, width)))
     u = center[0] + np.cos(azimuth)[:, None] * radii
@@ -127,9 +123,7 @@ def _edge_points(lit: NDArray[np.bool_], center: NDArray[np.float64]) -> NDArray
 
 
 def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return centre and radius by least squares, without points that lie off by more than three
-    median distances.
-    """
+    """Return centre and radius by least squares, without points beyond three median distances."""
     kept = np.ones(len(points), bool)
     for _ in range(5):
         x, y = points[kept].T
@@ -146,9 +140,7 @@ def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
 
 
 def seen_fov_deg(camera: OcamCamera, circle: ImageCircle) -> float:
-    """Return the full field of view inside an image circle in degrees, at most that of the
-    camera.
-    """
+    """Return the full field of view inside an image circle, degrees, at most the camera's."""
     azimuth = np.radians(np.arange(0, 360, 5))
     edge = np.array(circle.center) + circle.radius * np.stack(
         [np.cos(azimuth), np.sin(azimuth)], -1

@@ -124,9 +124,7 @@ def _contents(out: Path) -> str:
 
 
 def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> Iterator[int]:
-    """Estimate the depth of all frames of a prepared recording that are not done yet; yield their
-    numbers.
-    """
+    """Estimate the depth of all frames that are not done yet; yield their numbers."""
     sources, grid = writer.recording.sources, writer.sweep.grid
     task = RecordingTask(
         writer.out.resolve(),

@@ -39,13 +39,7 @@ from numpy.typing import NDArray
 from omnistereo_learn.provenance import differences, made_of, notes, provenance, read_facts
 from omnistereo_lib.dataset import read_poses, write_poses
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import (
-    atomic_write,
-    checksum,
-    make_folder,
-    read_data,
-    write_text,
-)
+from omnistereo_lib.files import atomic_write, checksum, make_folder, read_data, write_text
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
@@ -91,9 +85,7 @@ class DepthWriter:
     precision: Precision = "auto"  #: of networks; see `kept_precision`
 
     def path(self, kind: str, number: int) -> Path:
-        """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or
-        "trust".
-        """
+        """Return where a panorama is stored: "depth_estimate", "confidence" or "trust"."""
         return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}.tiff"
 
     def picture_path(self, number: int) -> Path:
@@ -101,9 +93,7 @@ class DepthWriter:
         return self.out / "video" / f"{number:05}.jpg"
 
     def is_done(self, number: int) -> bool:
-        """Return whether all that is stored of the rays of a frame, and its video frame, can be
-        read.
-        """
+        """Return whether all that is stored of a frame can be read."""
         try:
             whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
             read_poses(self.out, number)
@@ -122,9 +112,7 @@ class DepthWriter:
         )
 
     def left(self) -> list[int]:
-        """Return the numbers of the frames that are not done yet, or whose pictures have changed
-        since.
-        """
+        """Return the frames that are not done yet, or whose pictures have changed since."""
         changed = self.changed()
         return [
             number
@@ -133,9 +121,7 @@ class DepthWriter:
         ]
 
     def changed(self) -> dict[int, Path]:
-        """Return the frames whose pictures are not those that they were prepared with, and a
-        picture that differs.
-        """
+        """Return the frames whose pictures have changed, and a picture that differs."""
         stored = read_facts(self.out / PICTURES)
         pairs = [(n, stored.get(str(n), marks), marks) for n, marks in self._marks.items()]
         return {n: self._pictures(n)[_first_other(old, new)] for n, old, new in pairs if old != new}
@@ -178,9 +164,7 @@ class DepthWriter:
                 writing.result()
 
     def check_out(self) -> None:
-        """Raise an `OmnistereoError` if a recording would be written over a rig file that none has
-        put there.
-        """
+        """Raise an `OmnistereoError` if a rig file is there that no recording has written."""
         if (self.out / "config.yaml").exists() and not (self.out / SETTINGS).exists():
             raise OmnistereoError(
                 f"{self.out} holds a config.yaml but no {SETTINGS}; expected a new folder or that"
@@ -251,9 +235,7 @@ class DepthWriter:
         write_inverse_depth(self.path("depth_estimate", number), depth.inverse_depth)
 
     def doubt_shares(self) -> tuple[float, float]:
-        """Return how many percent of the rays of the recording are doubtful, and of the nearest
-        tenth of each frame, from the files.
-        """
+        """Return how many percent of all rays are doubtful, and of each frame's nearest tenth."""
         shares = []
         for number in self.recording.frames:
             with np.errstate(divide="ignore"):
@@ -277,9 +259,7 @@ def _link(picture: Path, folder: Path, number: int) -> None:
 
 
 def _mark(path: Path) -> str:
-    """Return a checksum of a file's name, size and time of change, and of samples of its
-    content.
-    """
+    """Return a checksum of a file's name, size and time, and of samples of its content."""
     status, sample = path.stat(), b""
     if path.is_file():  # a pipe would wait for its other end
         with path.open("rb") as file:
@@ -296,9 +276,7 @@ def _first_other(old: object, new: list[str]) -> int:
 
 
 def _check_settings(path: Path, settings: dict[str, Any]) -> None:
-    """Write the settings of a new recording, or compare them with those of the one that is
-    continued.
-    """
+    """Write the settings of a new recording, or compare them with those that are there."""
     if not path.exists():
         write_text(path, json.dumps(settings, indent=1) + "\n")
         return

@@ -155,9 +155,7 @@ def _stored(path: Path, cameras: int) -> list[Look]:
 
 
 def _figure(watch: Watch) -> Figure:
-    """Return a figure of the turn of each camera against the first looks, with its deviation, over
-    the frames.
-    """
+    """Return a figure of each camera's turn against the first looks, with its deviation."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4), layout="constrained")

@@ -181,9 +181,7 @@ class RecordedFrames:
         return SphereSweep(self.data.rig, self.grid)
 
     def panorama(self, frame: Frame, inverse_depth: NDArray[Any]) -> NDArray[np.float32]:
-        """Return what the images of a frame show at an inverse depth (H, W): (H, W, channels), 0 to
-        255.
-        """
+        """Return what a frame shows at an inverse depth (H, W): (H, W, channels), 0 to 255."""
         index = self.grid.inverse_depth_to_index(inverse_depth).clip(0, self.grid.num_spheres - 1)
         depth = Depth(
             index.astype(np.float32),
@@ -285,9 +283,7 @@ class RecordedFrames:
         poses: dict[int, Pose],
         moving: dict[int, NDArray[np.bool_]] | None = None,
     ) -> None:
-        """Fuse the frames, or take the rays that move, (H, W) of each frame, out of the volume
-        again.
-        """
+        """Fuse the frames, or take the rays that move, (H, W) of each, out of the volume again."""
         progress = progress_bar("frame")
         for done, (number, pose) in enumerate(poses.items()):
             progress(
@@ -304,9 +300,7 @@ class RecordedFrames:
     def refine(
         self, volume: Volume, poses: dict[int, Pose], out: Path
     ) -> dict[int, NDArray[np.bool_]]:
-        """Read the depth of all frames back into each, and write it; return the rays that move, (H,
-        W) of each.
-        """
+        """Write the depth of all frames as fused; return the rays that move, (H, W) of each."""
         progress, rays = progress_bar("frame"), self.grid.rays()
         moving: dict[int, NDArray[np.bool_]] = {}
         for path in make_folder(out).glob("*.tiff"):

@@ -87,9 +87,7 @@ _Panorama = tuple[_Single, _Single, _Single, _Single, float, float, float, float
 
 
 def touched_blocks(view: View, grid: SphereGrid, voxel: float, reach: float) -> NDArray[np.int64]:
-    """Return the blocks that a view needs, around the surface on each ray, as sorted keys for
-    `Volume`.
-    """
+    """Return the blocks that a view needs, around its surface, as sorted keys for `Volume`."""
     size = BLOCK * voxel
     used = (view.inverse_depth > 1 / reach) & (view.weight > 0)
     if not used.any():
@@ -280,9 +278,7 @@ def _integrate(
 
 @_loop
 def _interpolate(inverse: NDArray[np.float32], row: float, column: float, nearest: float) -> float:
-    """Interpolate inverse depth, which is smooth on planes, unless the four pixels show more than
-    one surface.
-    """
+    """Interpolate inverse depth, unless the four pixels show more than one surface."""
     height, width = inverse.shape
     # Bilinear between four pixels: around the seam in columns, not beyond the first and the last
     # row.
@@ -321,9 +317,7 @@ def distance_at(voxels: Voxels, i: int, j: int, k: int) -> float:
 
 @_loop
 def _sample(voxels: Voxels, x: float, y: float, z: float) -> float:
-    """Return the distance at a point in voxels, trilinear; infinite beside a voxel that no frame
-    has seen.
-    """
+    """Return the distance at a point in voxels, trilinear; infinite beside an unseen voxel."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w, total = x - i, y - j, z - k, 0.0
     for a in range(2):
@@ -338,9 +332,7 @@ def _sample(voxels: Voxels, x: float, y: float, z: float) -> float:
 
 @_loop
 def _way_out(x: float, direction: float, shortest: float) -> float:
-    """Return the way in voxels to where a ray leaves its block along one axis, at most
-    `shortest`.
-    """
+    """Return the way in voxels to where a ray leaves its block, at most `shortest`."""
     if direction == 0:
         return shortest
     start = np.floor(x / BLOCK) * BLOCK

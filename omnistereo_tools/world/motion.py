@@ -61,9 +61,7 @@ class SightingFinder:
     def find(
         self, images: Sequence[NDArray[np.uint8]], inverse_depth: NDArray[np.float32]
     ) -> Sighting:
-        """Return the features of images, one per camera, at the inverse depth (H, W) around the
-        centre of the rig.
-        """
+        """Return the features of images, at the inverse depth (H, W) around the rig's centre."""
         inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
         spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(
             inverse_depth, np.ones((3, 3))
@@ -88,9 +86,7 @@ class SightingFinder:
     def _distances(
         self, inverse_depth: NDArray[np.float32], center: Floats, rays: Floats
     ) -> tuple[Floats, Floats]:
-        """Return the distances (K,) from a camera to the surface along its rays, and the points
-        there, (K, 3).
-        """
+        """Return the distances (K,) from a camera to the surface, and the points there, (K, 3)."""
         along, distance = rays @ center, np.full(len(rays), 10.0)
         for _ in range(6):
             depth = 1 / self._look_up(inverse_depth, center + distance[:, None] * rays)
@@ -99,9 +95,7 @@ class SightingFinder:
         return distance, center + distance[:, None] * rays
 
     def _look_up(self, panorama: NDArray[np.float32], points: Floats) -> Floats:
-        """Return the nearest values of a panorama in the directions of points (K, 3); of its rim
-        beyond it.
-        """
+        """Return the nearest values of a panorama in the directions of points (K, 3)."""
         return self.grid.look_up(panorama, points)[0].astype(np.float64)
 
 
@@ -177,9 +171,7 @@ def _differ(T: Pose, other: Pose) -> bool:
 def _match(
     rig: Rig, a: Sighting, b: Sighting, T: Pose | None = None, gate_deg: float = 0.0
 ) -> _Matches:
-    """Match all cameras with all, anywhere, or within a gate of where T and the depth of a put the
-    features.
-    """
+    """Match all cameras with all, anywhere, or near where T and the depth of a put features."""
     ends_a, ends_b = _ends(rig, a), _ends(rig, b)
 
     def match(pair: tuple[int, int]) -> tuple[_End, _End]:
@@ -231,9 +223,7 @@ def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
-    """Return where frame b sees points, (M, 2) on the tangent planes of its rays, and the
-    derivatives (M, 2, 3).
-    """
+    """Return where b sees points, (M, 2) on its rays' tangents, and the derivatives (M, 2, 3)."""
     length = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
     seen = toward / length
     offset = (b.basis @ seen[:, :, None])[:, :, 0]
@@ -273,9 +263,7 @@ def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
 
 
 def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
-    """Return residuals (2M, 2) and their derivatives (2M, 2, 6): a's points seen in b, then b's in
-    a.
-    """
+    """Return residuals (2M, 2) and derivatives (2M, 2, 6): a's points seen in b, then b's in a."""
     a, b = matches
     forth, d_forth = _one_way(T, a, b)
     back, d_back = _one_way(T.inverse(), b, a)
@@ -287,9 +275,7 @@ def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
 
 
 def _solve(T: Pose, matches: _Matches, scales: Sequence[float]) -> tuple[Pose, float]:
-    """Minimise Geman and McClure's robust cost by Gauss-Newton; return the step and the cost, at
-    most 1.
-    """
+    """Minimise Geman and McClure's cost by Gauss-Newton; return step and cost, at most 1."""
     cost = np.inf
     for scale in scales if len(matches[0].ray) > 2 else ():
         for _ in range(8):
@@ -308,9 +294,7 @@ def _solve(T: Pose, matches: _Matches, scales: Sequence[float]) -> tuple[Pose, f
 
 
 def _search(matches: _Matches, seed: int) -> Pose:
-    """Find the step without a guess: triples of matched points laid onto each other, the best ones
-    adjusted.
-    """
+    """Find the step without a guess: triples of points laid onto each other, the best adjusted."""
     a, b = matches
     if len(a.ray) < 3:
         return Pose.identity()

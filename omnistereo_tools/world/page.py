@@ -94,9 +94,7 @@ def world_page(
 
 
 def _coarser(surface: Surface) -> Surface:
-    """Return a surface of few enough triangles: the vertices in each cell of a grid become one,
-    their mean.
-    """
+    """Return a surface of few enough triangles: vertices in each cell of a grid become one."""
     small, cell = surface, 0.15
     while len(small.faces) > _MOST_TRIANGLES:
         cell *= max(1.1, np.sqrt(len(small.faces) / _MOST_TRIANGLES))

@@ -1,6 +1,4 @@
-"""The depth of one frame, and that of all frames read back into it: for each ray the one to
-believe.
-"""
+"""A frame's own depth, and that of all frames: for each ray the one to believe."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ def moving_rays(
 
 
 def _regions(disagree: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the rays that disagree where most of a window looks otherwise, and those next to
-    them.
-    """
+    """Return the rays that disagree where most of a window looks otherwise, and next to them."""
     padded = np.pad(disagree & other, ((0, 0), (_SEAM, _SEAM)), "wrap").astype(np.float32)
     grown = (cv2.blur(padded, (_WINDOW, _WINDOW)) > 0.5).astype(np.uint8)
     within = np.pad(disagree, ((0, 0), (_SEAM, _SEAM)), "wrap").astype(np.uint8)

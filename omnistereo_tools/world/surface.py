@@ -1,6 +1,4 @@
-"""The surface of a volume as triangles: surface nets (Gibson 1998), one vertex in each cell that it
-crosses.
-"""
+"""Surface nets (Gibson 1998): the surface of a volume, a vertex in each cell it crosses."""
 
 from __future__ import annotations
 
@@ -30,9 +28,7 @@ class Surface:
 
 
 def extract_surface(volume: Volume) -> Surface:
-    """Return the surface where the distances change their sign, without pieces of fewer than 100
-    triangles.
-    """
+    """Return the surface where distances change sign, without pieces of few triangles."""
     weight = np.where(volume.voxels[4] < _LEAST_WEIGHT, np.float32(0), volume.voxels[4])
     voxels = (*volume.voxels[:4], weight, volume.voxels[5])
     numbers = np.full(voxels[3].shape, -1, np.int32)
@@ -114,9 +110,7 @@ def _place_vertices(
 def _join(
     voxels: Voxels, voxel: float, numbers: NDArray[np.int32], faces: NDArray[np.int64]
 ) -> int:
-    """Join the vertices of the four cells around each edge that the surface crosses; fill `faces`
-    if it has room.
-    """
+    """Join the vertices around each edge that the surface crosses; fill `faces` if it has room."""
     count = 0
     for number in range(len(voxels[0])):
         x, y, z = voxels[0][number] * BLOCK
@@ -151,9 +145,7 @@ def _join(
 def _vertex(
     voxels: Voxels, numbers: NDArray[np.int32], at: tuple[int, int, int], one: int, other: int
 ) -> int:
-    """Return the vertex of the cell at a voxel, or of the one before it along one axis or two; -1
-    if it has none.
-    """
+    """Return the vertex of a voxel's cell, or of the one before it along one axis or two, or -1."""
     i, j, k = at[0] - (0 in (one, other)), at[1] - (1 in (one, other)), at[2] - (2 in (one, other))
     number = find_block(voxels, i, j, k)
     return -1 if number < 0 else numbers[number, i & 7, j & 7, k & 7]

@@ -91,9 +91,7 @@ def seconds(call: Call) -> float:
 
 @cache
 def machine() -> tuple[float, float]:
-    """Return this machine's bytes per second, and multiplications and additions per second as
-    networks use them.
-    """
+    """Return this machine's bytes, and a network's operations, per second."""
     a, b, c = torch.rand(3, 1 << 24)  # far beyond the caches
     x = torch.rand(2048, 2048, dtype=getattr(torch, choose_precision("auto", "cpu")))
     triad, product = seconds(lambda: torch.add(b, c, alpha=2, out=a)), seconds(lambda: x @ x)
@@ -136,9 +134,7 @@ def bench_sgm(width: int, height: int, num: int) -> None:
 
 
 def bench_kernels(width: int, height: int, num: int) -> None:
-    """Compare the warp, every kernel and a ZNCC + SGM frame with their definitions in `reference`,
-    in float32.
-    """
+    """Compare warp, kernels and a ZNCC + SGM frame with their definitions, in float32."""
     sweep, images = _rig_and_images(width, height, num)
     grid, rig, pairs, spheres = (
         sweep.grid,
@@ -212,16 +208,12 @@ def bench_kernels(width: int, height: int, num: int) -> None:
 
 
 def _zncc_bytes(cameras: int) -> int:
-    """Return the bytes of a cell of the ZNCC volume: warped images are written and read, costs
-    written.
-    """
+    """Return the bytes of a cell: warped images written and read, costs written."""
     return (_WARP + 4) * cameras + 4
 
 
 def bench_volumenet(width: int, height: int, num: int) -> None:
-    """Time the ZNCC volume, the parts of VolumeNet, and its frame against one of ZNCC + SGM; all
-    have their tables.
-    """
+    """Time the ZNCC volume, the parts of VolumeNet, and its frame against ZNCC + SGM."""
     sweep, images = _rig_and_images(width, height, num)
     scale, network = f"{width}×{height}×{num}", VolumeNet.pretrained()
     bytes_moved = _zncc_bytes(len(sweep.rig)) * width * height * num
@@ -288,9 +280,7 @@ def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FisheyeFit:
-    """Result of `cv2.fisheye.calibrate`: rms distance in px, infinite where it failed, matrix and
-    distortion.
-    """
+    """Result of `cv2.fisheye.calibrate`: rms px, infinite if it failed, matrix, distortion."""
 
     rms_px: float
     matrix: NDArray[np.float64]
@@ -358,9 +348,7 @@ def bench_calibrate() -> None:
 
 
 def run(quick: bool = False) -> None:
-    """Print all comparisons; quick: only at teaching scale, in a minute. The scale of the paper
-    takes 10 GiB.
-    """
+    """Print all comparisons; quick: at teaching scale. The scale of the paper takes 10 GiB."""
     keep_memory()  # as every command does
     cv2.setNumThreads(torch.get_num_threads())
     bandwidth, speed = (value / 1e9 for value in machine())

@@ -1,6 +1,4 @@
-"""The share of rays with the right depth by distance, for rigs of several sizes in the same
-worlds.
-"""
+"""The share of rays with the right depth by distance, for one rig at several sizes."""
 
 from itertools import pairwise
 
@@ -22,9 +20,7 @@ KINDS, WORLDS = (things, street), 2  # of each
 
 
 def print_table(method: str = "zncc+sgm") -> None:
-    """Print a row for each size: from where on depth is swept, and the share of right rays between
-    two distances.
-    """
+    """Print for each size the nearest sphere, and the share of right rays by distance."""
     bands = [f"{low:g} to {high:g} m" for low, high in pairwise(EDGES)]
     print(
         f"| largest distance between cameras | nearest sphere | {' | '.join(bands)}"
@@ -40,9 +36,7 @@ def print_table(method: str = "zncc+sgm") -> None:
 
 
 def shares(size: float, method: str) -> tuple[float, list[float]]:
-    """Return the nearest depth that is proposed for a rig of a size, and the share of right rays in
-    each band.
-    """
+    """Return the nearest depth proposed for a size, and the share of right rays in each band."""
     like = load_dataset(DATA / "sunny", split="train").rig.recentered()
     scale = size / np.ptp(like.centers, axis=0).max()
     rig = like.with_poses([Pose(pose.R, scale * pose.t) for pose in like.T_rig_cam])

@@ -79,9 +79,7 @@ def export_weights(
 
 
 def file_name(recipe: Recipe) -> str:
-    """Return the name of the bundled weights, without ending; it names training worlds other than
-    the usual ones.
-    """
+    """Return the name of the weights, without ending; unusual training worlds are in it."""
     name = (
         f"{recipe.network}_{recipe.variant}" if isinstance(recipe, MCCNNRecipe) else recipe.network
     )

@@ -1,6 +1,4 @@
-"""Snapshots of SweepNet in training, for notebook 06: its best spheres of one frame after some
-steps.
-"""
+"""Snapshots of SweepNet in training, for notebook 06: its best spheres of one frame."""
 
 from __future__ import annotations
 

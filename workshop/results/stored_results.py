@@ -1,6 +1,4 @@
-"""The stored results again: `make results`. That takes hours, but every evaluation resumes where it
-was stopped.
-"""
+"""The stored results again: `make results`. That takes hours, and resumes."""
 
 import shlex
 import shutil

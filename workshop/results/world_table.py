@@ -1,6 +1,4 @@
-"""How good a world is that `omnistereo world` made of a rendered drive: its path, depth before and
-after, its mesh.
-"""
+"""How good a world of a rendered drive is: its path, its depth, its mesh."""
 
 import json
 from itertools import pairwise
@@ -86,9 +84,7 @@ def _path_errors(found: dict[int, Pose], true: dict[int, Pose]) -> dict[str, flo
 def _driving_cars(
     data: str, truth: dict[int, NDArray[np.float32]], grid: SphereGrid
 ) -> dict[int, NDArray[np.bool_]]:
-    """Return the rays of each frame, (H, W), that see a car that drives: those that end in the box
-    of one.
-    """
+    """Return the rays of each frame, (H, W), that end in the box of a driving car."""
     traffic = Traffic(plan_district(SEED), SimpleNamespace(put=lambda *_: SimpleNamespace()))
     true_pose, (half_width, low, high), found = true_poses(SETS[data], SEED), _CAR, {}
     for number, inverse_depth in truth.items():
@@ -112,9 +108,7 @@ def _driving_cars(
 def _mesh_f(
     world: Path, found: dict[int, Pose], true: dict[int, Pose], truth: Dataset, grid: SphereGrid
 ) -> dict[str, float]:
-    """Return F of the mesh against that of the exact depth, fused alike; the path is laid on the
-    true one first.
-    """
+    """Return F of the mesh, laid on the true path, against that of the exact depth."""
     settings, views = read_data(world / "world.json"), []
     for number, pose in true.items():
         inverse_depth = truth.frame(number).inverse_depth
@@ -133,9 +127,7 @@ def _mesh_f(
 
 
 def _laid_on(path: list[Pose], true: list[Pose]) -> Pose:
-    """Return the rigid motion that lays a path on another, by its positions and, at 3 m from them,
-    its axes.
-    """
+    """Return the motion that lays a path on another, by positions and, at 3 m, axes."""
     a, b = (np.array([pose.t for pose in poses]) for poses in (path, true))
     turns = sum((9 * y.R @ x.R.T for x, y in zip(path, true, strict=True)), np.zeros((3, 3)))
     R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)) + turns)
@@ -143,9 +135,7 @@ def _laid_on(path: list[Pose], true: list[Pose]) -> Pose:
 
 
 def f_scores(found: Floats, true: Floats) -> list[float]:
-    """Return the harmonic mean of precision and recall of points (M, 3) and (N, 3), in percent, at
-    10, 20 and 50 cm.
-    """
+    """Return the F of points (M, 3) and (N, 3), in percent, at 10, 20 and 50 cm."""
     rng = np.random.default_rng(0)
     one, other = (points[rng.permutation(len(points))[:_POINTS]] for points in (found, true))
     off, missed = cKDTree(other).query(one)[0], cKDTree(one).query(other)[0]
@@ -156,9 +146,7 @@ def f_scores(found: Floats, true: Floats) -> list[float]:
 def right_rays(
     inverse_depth: NDArray[np.float32], truth: NDArray[np.float32], moving: NDArray[np.bool_]
 ) -> dict[str, float]:
-    """Return the percentage of rays within 5 % of the true depth up to 25 m: of what stands, and of
-    what moves.
-    """
+    """Return the percentage of rays within 5 % up to 25 m: of what stands, of what moves."""
     with np.errstate(divide="ignore"):
         depth = 1 / truth
         right = np.abs(np.nan_to_num(1 / inverse_depth, nan=np.inf) / depth - 1) < RIGHT
