@@ -23,7 +23,7 @@ _CAPS = {"width": 96, "num_spheres": 16, "steps": 1, "batch_frames": 1, "validat
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of a command; `--help` lists those of each class under its docstring.
+    """Options of a command.
 
     A value that cannot be raises an `OmnistereoError`, before any file is opened.
     """
@@ -32,7 +32,7 @@ class Options:
 
     def __post_init__(self) -> None:
         for name in self.given():
-            value, facts = getattr(self, name), _declared(type(self), name)[0]
+            value, facts = getattr(self, name), _declared(type(self), name)
             if "between" in facts:
                 low, high = facts["between"]
                 check_number(value, flag(name), low, high, whole=isinstance(value, int))
@@ -67,10 +67,9 @@ def option(help: str, default: Any = None, unset: str = "", **facts: Any) -> Any
 
 def add_options(parser: ArgumentParser, kind: type[Options]) -> None:
     """Add the options of a command to a parser, which then returns those that are typed."""
-    hints, groups = get_type_hints(kind), dict[str, Any]()
+    hints = get_type_hints(kind)
     for one in fields(kind):
-        facts, title = _declared(kind, one.name)
-        group = groups[title] = groups.get(title) or parser.add_argument_group(title)
+        facts = _declared(kind, one.name)
         # What `--help` says of the default, and what argparse is told.
         said = facts["unset"] if one.default in (None, ()) else one.default
         said = " ".join(said) if isinstance(said, tuple) else said
@@ -80,18 +79,18 @@ def add_options(parser: ArgumentParser, kind: type[Options]) -> None:
         if said not in ("", MISSING) and said is not False:
             keywords["help"] += f" (default: {said})"
         if facts.get("positional"):
-            group.add_argument(one.name, **keywords)
+            parser.add_argument(one.name, **keywords)
         else:
-            group.add_argument(
+            parser.add_argument(
                 flag(one.name), default=SUPPRESS, required=one.default is MISSING, **keywords
             )
 
 
-def _declared(kind: type[Options], name: str) -> tuple[Mapping[str, Any], str]:
-    """Return what is declared of an option, and the title of the class that has it first."""
+def _declared(kind: type[Options], name: str) -> Mapping[str, Any]:
+    """Return what is declared of an option, perhaps by a base class."""
     owners = [owner for owner in kind.__mro__ if name in vars(owner).get("__annotations__", ())]
     declared = (vars(owner)["__dataclass_fields__"][name].metadata for owner in owners)
-    return next(filter(None, declared)), (owners[-1].__doc__ or "").partition(".")[0]
+    return next(filter(None, declared))
 
 
 def _read_as(hint: Any) -> dict[str, Any]:

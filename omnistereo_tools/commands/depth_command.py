@@ -50,7 +50,7 @@ class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameO
 
     frame: int = option("frame of a data set, counted from 0", 0)
     phi: tuple[float, float] | None = option(
-        "elevations in degrees, down is positive", unset="square pixels"
+        "elevations in degrees, down is positive", unset="square pixels", metavar=("LOW", "HIGH")
     )
     out: Path | None = option("folder for the results", unset="out; with --rig out/depth_NAME")
     max_depth: float | None = option(
