@@ -47,7 +47,7 @@ BY_HAND = [
     ("ucm", OMNI | {"alpha": 0.6}, partial(mei, f=(560 * 2.5, 556 * 2.5), c=AT["c"], k1=0, k2=0)),
     ("fov", PINHOLE | {"w": 0.9}, partial(fov, w=0.9, **AT)),
     ("pinhole", PINHOLE | {"k1": -0.1, "k2": 0.01}, partial(brown, p=(0, 0), **AT)),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("model", "parameters", "by_hand"), BY_HAND)
@@ -81,7 +81,7 @@ ENDS = [
     (degrees(acos(-0.8)), "omni", PINHOLE | {"xi": 0.8}),
     (degrees(1.0), "kb4", PINHOLE | {"k1": -1 / 3}),
     (60, "pinhole", PINHOLE),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("end", "model", "parameters"), ENDS)
@@ -96,7 +96,7 @@ RADIAL = [
     ("kb4", KB4),
     ("eucm", PINHOLE | {"alpha": 0.6, "beta": 1.05}),
     ("omni", OMNI | {"k1": -0.01, "k2": 0.002}),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("model", "parameters"), RADIAL)
@@ -166,11 +166,14 @@ THEIRS = {
     "OPENCV_FISHEYE": [200.0, 199.0, 400.5, 380.5, *K4],
     "SIMPLE_RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01],
     "RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01, 0.004],
-    "RAD_TAN_THIN_PRISM_FISHEYE": [*(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5), *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4)],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [
+        *(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5),
+        *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4),
+    ],
     "EUCM": [220.0, 219.0, 400.5, 380.5, 0.6, 1.1],
     "FOV": [300.0, 299.0, 400.5, 380.5, 0.9],
     "FULL_OPENCV": [400.0, 398, 400.5, 380.5, 0.1, -0.02, 1e-3, -1e-3, 0.01, 0.02, -0.01, 1e-3],
-}  # fmt: skip
+}
 
 
 @pytest.mark.nightly

@@ -89,19 +89,31 @@ NO_INVERSE = r"\(inv_poly\) is not the inverse of poly.*leave inv_poly out"
 BROKEN = [
     ("", "found 0 records; expected 5"),
     (OCAM_TXT[: OCAM_TXT.index("#affine")], "found 3 records.*complete"),
-    (OCAM_TXT.replace("\n3 ", "\n4 "), "direct polynomial has 4 numbers .*expected the number of coef.*complete"),
+    (
+        OCAM_TXT.replace("\n3 ", "\n4 "),
+        "direct polynomial has 4 numbers .*expected the number of coef.*complete",
+    ),
     (OCAM_TXT.replace(f"\n{N_INVERSE} ", "\n-1 "), "inverse polynomial has .* expected the number"),
     (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D}"), "affine map c d e must be 3 numbers, found 2"),
-    (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} five"), "affine map c d e must be numbers, found .*five"),
+    (
+        OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} five"),
+        "affine map c d e must be numbers, found .*five",
+    ),
     (OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", "768.5 800"), "expected an integer of 2 to 100000"),
-    (OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", "3 400 -20 -3"), "inv_poly. is not the inverse of poly"),
+    (
+        OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", "3 400 -20 -3"),
+        "inv_poly. is not the inverse of poly",
+    ),
     (inverse_of(lambda t: t - np.pi / 2), NO_INVERSE),
     (inverse_of(lambda t: -t), NO_INVERSE),
     (inverse_of(lambda t: t * (np.pi / 180)), NO_INVERSE),
     (inverse_of(lambda t: t, step=-1), "inv_poly. is not the inverse of poly"),
-    (OCAM_TXT.replace(f"\n3 {POLY}", "\n4 -205 1.9e-3 -1.1e-6 2.3e-9"), "a0 a2 a3 a4, put the missing 0"),
+    (
+        OCAM_TXT.replace(f"\n3 {POLY}", "\n4 -205 1.9e-3 -1.1e-6 2.3e-9"),
+        "a0 a2 a3 a4, put the missing 0",
+    ),
     ("\x00\xff\x89PNG\n" * 9, "must be numbers"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("text", "message"), BROKEN)
