@@ -116,8 +116,9 @@ class RecordedFrames:
         Raises an `OmnistereoError` if a part is missing, torn, empty, or of another size.
         """
         paths = [Path(frame.gt_path or ""), self.confidence_path(frame)]
-        units = (self.grid.min_depth, 1.0)
-        panoramas = [read_inverse_depth(*one) for one in zip(paths, units, strict=True)]
+        paths += filter(Path.exists, [self._trust_path(frame)])
+        units = self.grid.min_depth, 1.0, 1.0
+        panoramas = [read_inverse_depth(*one) for one in zip(paths, units, strict=False)]
         for path, panorama in zip(paths, panoramas, strict=True):
             if panorama.shape != self.grid.shape:
                 (height, width), (rows, columns) = panorama.shape, self.grid.shape
@@ -126,7 +127,7 @@ class RecordedFrames:
                 )
         if not (np.isfinite(panoramas[0]) & (panoramas[1] > 0)).any():
             raise OmnistereoError(f"no ray of {paths[0]} has depth and confidence")
-        sums, channels = [rig_checksum(frame.rig), arrays_checksum(panoramas)], 1
+        sums, channels = [rig_checksum(frame.rig), arrays_checksum(panoramas[:2])], 1
         for path, camera in zip(frame.image_paths, frame.rig.cameras, strict=True):
             content, picture = check_image(path, camera.image_size)
             sums.append(checksum(content))
@@ -143,12 +144,14 @@ class RecordedFrames:
         """Return where the confidence of a frame is."""
         return self.folder / f"confidence_{self.grid.width}" / Path(frame.gt_path or "").name
 
+    def _trust_path(self, frame: Frame) -> Path:
+        return self.folder / f"trust_{self.grid.width}" / Path(frame.gt_path or "").name
+
     def doubtful_percent(self, numbers: Iterable[int]) -> float:
         """Return how many percent of the rays of some frames are doubtful; 0 where nothing says."""
         shares = []
         for number in numbers:
-            name = Path(self.data.frame(number).gt_path or "").name
-            trust = self.folder / f"trust_{self.grid.width}" / name
+            trust = self._trust_path(self.data.frame(number))
             if trust.exists():
                 shares.append(float((read_inverse_depth(trust, 1.0) < DOUBTFUL).mean()))
         return 100 * float(np.mean(shares or [0.0]))

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -193,11 +194,17 @@ def lines(capsys, *arguments):
     return "".join(capsys.readouterr())
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, "no confidence", "another height", "torn"])
+@pytest.mark.parametrize(
+    "value",
+    [np.nan, np.inf, -1.0, "no confidence", "another height", "torn", "torn trust"],
+)
 def test_a_frame_with_nothing_to_fuse_is_named_and_left_out(copy, capsys, value):
     kind = "confidence_160" if value == "no confidence" else "depth_estimate_160"
     path = copy / kind / "00003.tiff"
-    if value == "torn":
+    if value == "torn trust":
+        (copy / "trust_160").mkdir()
+        path = Path(shutil.copy(path, copy / "trust_160"))
+    if str(value).startswith("torn"):
         path.write_bytes(path.read_bytes()[:-60] + bytes(40) + path.read_bytes()[-20:])
     else:
         shape = (20, 160) if value == "another height" else GRID.shape

@@ -256,12 +256,14 @@ def table(rows: list[dict[str, str]], seed: int) -> str:
         f"{innocent} ({100 * innocent / len(rows):.1f} %) a mistake is named that was not made, or "
         "a camera that has nothing to do with it.",
     ]
+    spread = []
     for scene in SETS:
         values = [float(row["chi2"]) for row in rows if row["scene"] == scene and row["chi2"]]
         if values:
             low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
-            lines[-1] += (
-                f" χ² of the poses measured in a {scene}, by what their stated deviations let "
-                f"expect: {middle:.1f} in the median, {low:.1f} to {high:.1f} in four of five."
-            )
+            spread.append(f"{scene} {middle:.1f} ({low:.1f} to {high:.1f})")
+    lines[-1] += (
+        " χ² of the measured poses by what their stated deviations let expect, in the median and "
+        f"in four of five: {', '.join(spread)}."
+    )
     return "\n".join(lines)
