@@ -29,7 +29,6 @@ from omnistereo_tools.commands import (
     train_command,
     world_command,
 )
-from omnistereo_tools.memory import keep_memory
 from omnistereo_tools.outputs import let_go
 from omnistereo_tools.parser import Options, add_options, is_tiny
 
@@ -54,7 +53,6 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status. All that goes wrong but a defect is one line."""
-    keep_memory()
     # What OpenCV and its FFmpeg would print of a damaged file: our own words say it.
     os.environ |= {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     os.environ["MPLBACKEND"] = "agg"
