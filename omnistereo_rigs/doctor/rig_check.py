@@ -325,12 +325,13 @@ def _compared(
     differences = pose_differences(measured.rig, rig)
     turn_sd, shift_sd = measured.deviations.T
     limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
-    # First what can be said without the poses: the unit, and whether the images show anything.
-    if (unit := _unit(measured, min_depth)) is not None:
-        return RigCheck(False, unit, "unit", (), None, measured)
-    if not np.isfinite(turn_sd).all() or (turn_sd.max() > _UNKNOWN_DEG and not freed):
+    # First whether the images show anything; then the unit, which needs no poses.
+    unknown_deg = _UNKNOWN_DEG * (10 if freed else 1)
+    if not np.isfinite(turn_sd).all() or turn_sd.max() > unknown_deg:
         text = ". ".join(["the images do not show how the cameras are placed", *limits])
         return RigCheck(None, text, "cannot tell", (), None, measured)
+    if (unit := _unit(measured, min_depth)) is not None:
+        return RigCheck(False, unit, "unit", (), None, measured)
     # Whom to accuse: a camera freed already, or those whose poses explain the differences. What is
     # too small to matter accuses nobody, and the matches themselves have to prefer the measured
     # rig.
