@@ -74,7 +74,8 @@ def stored(found: Any, folder: Path) -> dict[str, Any]:
             else np.asarray(part)
         )
         if array.dtype.kind not in "iuf":
-            return {"kind": f"{name} of {type(part).__name__}"}
+            of = f"dtype {array.dtype}" if array.ndim else type(part).__name__
+            return {"kind": f"{name} of {of}"}
         np.save(folder / f"{name}.npy", array.astype(np.float64))
     return {"parts": len(parts)}
 

@@ -118,8 +118,8 @@ def _frames(data: Section, path: Path) -> list[Section]:
 
 
 def _sockets(data: Section, path: Path) -> list[Section]:
-    cams = []
-    for item in data.require("cameraData"):
+    cams, items = [], data.require("cameraData")
+    for item in items if isinstance(items, list) else [items]:
         if not (isinstance(item, list) and len(item) == 2):
             raise OmnistereoError("cameraData: expected pairs of a socket and a camera")
         cam = data.add(f"socket {item[0]}", {"socket": item[0]} | Section(item[1]).values)

@@ -19,6 +19,7 @@ _log = logging.getLogger("omnistereo_lib")
 # of the side of the image; right calibrations, also of cropped sensors, stay below
 _OFF_CENTER = 0.12
 _CENTERED = 0.04
+_SQUARE = 0.1  # pixels of a sensor are as wide as high, to a few thousandths
 _LEVEL_DEG = 10.0  # mounted cameras lean less, frames of another convention more
 _ASTRAY_DEG = 60.0  # from the mean of the other cameras, beyond which a camera is mounted rolled
 _AGREE = 0.75  # length of the mean of unit vectors; all cameras may look up or down by 40°
@@ -36,10 +37,16 @@ def check_cameras(cameras: Sequence[OcamCamera], source: Path) -> None:
 
 
 def _doubt(camera: OcamCamera) -> str | None:
-    """Return what is wrong with a principal point far from the middle of the image.
+    """Return what is wrong with pixels that are no squares, or with a principal point far from the
+    middle of the image.
 
     In the middle of one half of it there are two lenses. An `OmnistereoError` refuses one outside.
     """
+    if abs(camera.affine[0] - 1) > _SQUARE:
+        return (
+            f"fy is {camera.affine[0]:.3g} times fx (the first number of affine in OCam's files); "
+            "expected about the same, as pixels are squares. Check them"
+        )
     size, center = np.array(camera.image_size), np.array(camera.center)
     across, along = np.sort(np.abs((center + 0.5) / size - 0.5))
     if along <= _OFF_CENTER or (abs(along - 0.25) < _CENTERED and across < _CENTERED):

@@ -59,7 +59,7 @@ class RigReading(NamedTuple):
 
     rig: Rig
     dialect: str  #: its name for people
-    in_metres: bool  #: whether the dialect states its unit
+    unit: str  #: that the dialect states, "metres" or "centimetres"; "" where it states none
     lenses: Sequence[Lens]  #: as the file states them; empty of our format
     #: of each lens: the largest distance of the fitted camera from it
     residuals_px: Sequence[float]
@@ -123,7 +123,7 @@ def read_rig(
     check_options(unit, max_fov_deg)
     if (own := _own(path, unit, max_fov_deg)) is not None:
         rig = _finished(own, path, unit, keep_frame)
-        return RigReading(rig, own.name, own.in_metres, (), ())
+        return RigReading(rig, own.name, "metres" if own.in_metres else "", (), ())
     file, name, scale, found = _read(path)
     with error_context(file):
         fitted = _fitted(found, max_fov_deg)
@@ -134,7 +134,8 @@ def read_rig(
     offsets = found.clock_offsets_s
     _warn_of_clocks(offsets, file)
     stated = None if offsets is None else tuple(map(float, offsets))
-    return RigReading(rig, name, read.in_metres, found.lenses, residuals, stated)
+    of_format = next((word for word, metres in METRES.items() if metres == scale), "")
+    return RigReading(rig, name, of_format, found.lenses, residuals, stated)
 
 
 def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:

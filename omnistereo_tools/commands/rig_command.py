@@ -85,7 +85,7 @@ def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
     from omnistereo_tools.output.summary import turn_sentence
 
     rig = read.rig
-    unit = "metres by the format" if read.in_metres else f"{options.unit} (--unit)"
+    unit = f"{read.unit} by the format" if read.unit else f"{options.unit} (--unit)"
     models = ", ".join(dict.fromkeys(lens.model for lens in read.lenses)) or "ocam"
     sizes = ", ".join(
         dict.fromkeys(f"{w} × {h} px" for w, h in (camera.image_size for camera in rig.cameras))

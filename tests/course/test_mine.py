@@ -189,6 +189,9 @@ METHODS = {
         "AttributeError.*, in line 2: return grid.nothing"
     ),
     "def depth(images, cameras, grid):\n    return 'text'": "returns index of str",
+    "import numpy as np\ndef depth(i, c, g):\n    return np.ones((8, 32), bool)": (
+        "returns index of dtype bool; expected sphere indices"
+    ),
     "import numpy as np\ndef depth(i, c, g):\n    return np.full((8, 32), 99)": (
         "99; expected 0 to 15, and NaN"
     ),

@@ -192,6 +192,13 @@ def test_an_implausible_principal_point_is_said(tmp_path, changes):
         loaded(Rig((stereographic(**changes),) * 4, ring().T_rig_cam), tmp_path)
 
 
+@pytest.mark.parametrize("c", [-1.0, 0.5, 50.0])
+def test_pixels_that_are_no_squares_are_said(tmp_path, c):
+    said = rf"camera 1: fy is {c:.3g} times fx .*Likewise camera 2, 3, 4"
+    with pytest.warns(UserWarning, match=said):
+        loaded(Rig((stereographic(affine=(c, 0.0, 0.0)),) * 4, ring().T_rig_cam), tmp_path)
+
+
 def test_a_principal_point_outside_is_refused(tmp_path):
     swapped = stereographic(center=(379.5, 639.5), image_size=(1280, 600))
     with pytest.raises(

@@ -304,6 +304,8 @@ def test_depthai_leads_from_socket_to_socket(tmp_path):
     step = Pose(TO_NEXT.R, TO_NEXT.t / 100)
     same(rig, [step @ step, step, Pose.identity()])
     follows(rig.cameras[0], kb4)
+    with pytest.warns(UserWarning, match="zeros after"):
+        assert read_rig(tmp_path / "oak.json").unit == "centimetres"
     for parents in ((1, 2, 0), (1, 0, -1), (-1, -1, 0)):
         with pytest.raises(OmnistereoError, match="lead in a circle or apart"):
             read(tmp_path / "oak.json", sockets(*parents))

@@ -77,6 +77,7 @@ RIGS = [
     ("a.json", changed(aria(), "CameraCalibrations", 0, "ImageSize"), "'ImageSize' or .* is missing"),
     ("a.json", {"cameraData": []}, "found no camera of DepthAI"),
     ("a.json", {"cameraData": [1]}, "cameraData: expected pairs"),
+    ("a.json", {"cameraData": 1}, "cameraData: expected pairs"),
     ("a.json", changed(sockets(1, -1), "cameraData", 0, 1, "distortionCoeff", 9, value=0.1), "has 14 numbers; expected 4"),
     ("config.yaml", each(omnimvs(), "max_fov", max_fow=220), r"key 'max_fow' has no meaning; is 'max_fov' meant"),
     ("config.yaml", each(omnimvs(), "invalid_mask", invalidmask="a.png"), "is 'invalid_mask' meant"),
