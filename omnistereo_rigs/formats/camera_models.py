@@ -23,6 +23,7 @@ from omnistereo_lib.geometry.pose import Floats
 
 # Full field of view; beyond it a pixel of a pinhole camera is wider than four at its centre.
 MAX_PINHOLE_DEG = 120.0
+_ON_AXIS = 1e-300  # from the axis, where 1 / n would overflow
 PINHOLE = ("fx", "fy", "cx", "cy")
 FISHEYE = ("k1", "k2", "k3", "k4")
 FISHEYE624 = (*(f"k{n}" for n in range(6)), "p0", "p1", "s0", "s1", "s2", "s3")
@@ -197,8 +198,8 @@ def _radial(rays: Floats, radius: Callable[[Floats], Floats]) -> Plane:
     """Return the points of the plane at radius(θ) in the direction of the rays."""
     x, y, z, _ = _components(rays)
     n = np.hypot(x, y)
-    scale = radius(np.arctan2(n, z)) / np.maximum(n, 1e-300)
-    return x * scale, y * scale, ((n > 0) | (z > 0)) & np.isfinite(scale)
+    scale = radius(np.arctan2(n, z)) / np.maximum(n, _ON_AXIS)
+    return x * scale, y * scale, ((n > _ON_AXIS) | (z > 0)) & np.isfinite(scale)
 
 
 def _odd(k: list[float]) -> Callable[[Floats], Floats]:

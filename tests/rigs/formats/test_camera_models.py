@@ -7,7 +7,7 @@ from math import acos, asin, degrees, hypot, sqrt
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rigs.formats.rig_file_samples import AHEAD, brown, ds, eucm, fov, kb4, mei
 
@@ -52,6 +52,7 @@ BY_HAND = [
 
 @pytest.mark.parametrize(("model", "parameters", "by_hand"), BY_HAND)
 @given(points)
+@example((0.0, 6e-303, -1.0))
 def test_models_by_hand(model, parameters, by_hand, point):
     parameters = {k: v for k, v in parameters.items() if not (model == "ucm" and k == "xi")}
     uv, valid = make_camera_model(model, parameters)(np.array(point))
