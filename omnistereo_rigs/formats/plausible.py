@@ -5,6 +5,7 @@ positions.
 import logging
 import warnings
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ _log = logging.getLogger("omnistereo_lib")
 _OFF_CENTER = 0.12
 _CENTERED = 0.04
 _SQUARE = 0.1  # pixels of a sensor are as wide as high, to a few thousandths
+_ONE_POSE_DEG, _ONE_POSE_M = 0.01, 1e-4
 _LEVEL_DEG = 10.0  # mounted cameras lean less, frames of another convention more
 _ASTRAY_DEG = 60.0  # from the mean of the other cameras, beyond which a camera is mounted rolled
 _AGREE = 0.75  # length of the mean of unit vectors; all cameras may look up or down by 40°
@@ -59,6 +61,20 @@ def _doubt(camera: OcamCamera) -> str | None:
     if along >= 0.5:
         raise OmnistereoError(doubt.replace("near its middle", "inside it, near the middle"))
     return doubt
+
+
+def check_poses(rig: Rig, source: Path) -> None:
+    """Warn of two cameras with one pose: a block of the file that was copied and not changed."""
+    for k, m in combinations(range(len(rig)), 2):
+        degrees, metres = (rig.T_rig_cam[k].inverse() @ rig.T_rig_cam[m]).magnitude()
+        if degrees < _ONE_POSE_DEG and metres < _ONE_POSE_M:
+            warnings.warn(
+                f"{source}: cameras {k + 1} and {m + 1} have the same pose; expected another for "
+                "each. Check whether one is a copy",
+                UserWarning,
+                stacklevel=2,
+            )
+            return
 
 
 def level(rig: Rig, source: Path) -> Rig:

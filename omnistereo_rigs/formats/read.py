@@ -202,6 +202,7 @@ def _finished(found: RigFile, path: Path, unit: str | None, keep_frame: bool) ->
                 f"a camera stands {far:.4g} m from the origin; expected at most {_FAR:g} m"
             )
         plausible.check_cameras(rig.cameras, path)
+        plausible.check_poses(rig, path)
         low, high = rig.baselines.min(), rig.baselines.max()
         in_unit = "" if found.in_metres else f" in {unit}"
         apart = f"{len(rig)} cameras, {low:.3f} to {high:.3f} m apart"

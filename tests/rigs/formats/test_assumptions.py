@@ -199,6 +199,13 @@ def test_pixels_that_are_no_squares_are_said(tmp_path, c):
         loaded(Rig((stereographic(affine=(c, 0.0, 0.0)),) * 4, ring().T_rig_cam), tmp_path)
 
 
+def test_a_camera_that_is_a_copy_is_said(tmp_path):
+    poses = ring().T_rig_cam
+    rig = Rig((stereographic(),) * 5, (*poses[:2], poses[1], *poses[2:]))
+    with pytest.warns(UserWarning, match="cameras 2 and 3 have the same pose; expected another"):
+        loaded(rig, tmp_path)
+
+
 def test_a_principal_point_outside_is_refused(tmp_path):
     swapped = stereographic(center=(379.5, 639.5), image_size=(1280, 600))
     with pytest.raises(

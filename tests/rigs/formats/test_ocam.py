@@ -306,6 +306,7 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
 
 
 def test_a_copy_of_a_rig_without_masks_is_read_without_a_warning(tmp_path, recwarn):
-    save_rig(Rig([CAMERA] * 2, [Pose.identity()] * 2), tmp_path / "config.yaml")
+    poses = Pose.identity(), Pose.from_vector([0, 1, 0, 0.2, 0, 0])
+    save_rig(Rig([CAMERA] * 2, poses), tmp_path / "config.yaml")
     read_any_rig((tmp_path / "config.yaml").rename(tmp_path / "mine.yaml"))
     assert [str(warning.message) for warning in recwarn] == []
