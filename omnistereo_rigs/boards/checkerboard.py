@@ -134,10 +134,12 @@ class Checkerboard(Board):
                 " sharp and evenly lit"
             )
         (columns, rows), count = suggestion
-        if count == 1 and len(grays) > 2:
+        searched = min(len(grays), _SEARCHED)
+        if searched > 2 and 2 * count < searched:
             return (
-                f"A board of {columns} x {rows} inner corners is found in 1 of {len(grays)} images,"
-                " perhaps by chance. Count the inner corners of the board"
+                f"A board of {columns} x {rows} inner corners is found in {count} of the first "
+                f"{searched} images, by chance or as a part of a larger one. Count the inner "
+                "corners of the board"
             )
         return (
             f"Pass {columns} x {rows} inner corners as board size: such a board is found in {count}"

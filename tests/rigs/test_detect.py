@@ -1,6 +1,8 @@
 """Corners of checkerboards, against boards drawn by casting rays through lenses with closed-form
 projections."""
 
+import re
+
 import boards
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ from boards import BOARD, CENTER, LENSES, SIZE
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs.boards import checkerboard
 from omnistereo_rigs.boards.captures import load_corners, save_corners
 from omnistereo_rigs.boards.checkerboard import (
     Checkerboard,
@@ -291,6 +294,16 @@ def test_the_size_that_would_fit_is_said(picture, corners):
         detect_views([np.full_like(picture, 128)], BOARD)
     assert suggest_board([picture], Checkerboard((11, 8), 0.06), only_larger=True) == ((12, 10), 1)
     assert suggest_board([picture], Checkerboard((13, 10), 0.06), only_larger=True) is None
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(2, "in 2 of the first 8 images, .* Count the"), (4, "^Pass 10 x 8 .* in 4")],
+)
+def test_a_size_that_few_images_show_is_no_advice_to_pass_it(monkeypatch, count, said):
+    monkeypatch.setattr(checkerboard, "suggest_board", lambda *_: ((10, 8), count))
+    picture = np.zeros((8, 8), np.uint8)
+    assert re.search(said, Checkerboard((9, 6), 0.025).advice([picture] * 20))
 
 
 # --- Files
