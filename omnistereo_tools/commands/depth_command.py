@@ -72,6 +72,8 @@ class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameO
         from omnistereo_lib.geometry.sphere import SphereGrid
 
         super().__post_init__()
+        if self.frame != 0 and self.images is not None:
+            raise OmnistereoError("--frame is of a data set. Leave --frame or --images out")
         if self.phi is not None:
             SphereGrid(2, 2, self.phi)
 

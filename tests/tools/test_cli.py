@@ -200,6 +200,7 @@ def test_doctor_of_the_same_picture_twice(data, capsys):
     [
         ("depth --rig none --images a b --method bogus", "cost must be one of .*'bogus'"),
         ("record --rig none --images none/ b --grid 96x24x1", "num_spheres is 1"),
+        ("depth --rig none --images a b --frame 3", "--frame is of a data set. Leave"),
         ("record --rig none --images none/ b --frames 3", "--frames is 3; .*START:STOP:STEP"),
         ("start none --board 9x6 --square 0.1 --max-fov 900", "--max-fov is 900"),
         ("depth --rig none --images a b --phi 20 10", r"phi_deg is \(20.0, 10.0\)"),
