@@ -162,6 +162,7 @@ COMMANDS = [
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     Row("no such setting", DEPTH + "--method zncc,size=5", "unknown setting 'size'; expected one of window"),
+    Row("a setting twice", DEPTH + "--method zncc,pairs=all,pairs=ring", "pairs is set twice; expected once"),
     Row("a setting of another type", DEPTH + "--method zncc,window=wide", "window must be of type int, got 'wide'"),
     Row("penalties upside down", DEPTH + "--method zncc+sgm,p1=3,p2=2", r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0"),
     Row("a setting it does not use", DEPTH + "--method zncc,p1=0.2", "zncc does not use p1. Leave it out"),

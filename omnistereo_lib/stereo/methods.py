@@ -167,6 +167,8 @@ class Method:
                 raise OmnistereoError(
                     f"{name}: unknown setting {key!r}; expected one of {', '.join(types)}"
                 )
+            if key in values:
+                raise OmnistereoError(f"{name}: {key} is set twice; expected once. Leave one out")
             kind = types[key]
             try:
                 values[key] = {"true": True, "false": False}[value] if kind is bool else kind(value)
