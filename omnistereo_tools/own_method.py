@@ -39,6 +39,7 @@ class Own:
     depth: Depth
     cpu_s: float  #: of `depth` alone, in all threads
     seconds: float  #: that passed
+    judged: bool  #: whether it returned a confidence of its depths; else it counts as 1
 
 
 def check_own(file: Path) -> None:
@@ -152,7 +153,7 @@ def _read(
     else:
         confidence = np.where(np.isfinite(index), 1.0, np.nan)
     depth = Depth(index.astype(np.float32), confidence.astype(np.float32), sweep, images)
-    return Own(depth, said["cpu_s"], said["seconds"])
+    return Own(depth, said["cpu_s"], said["seconds"], said["parts"] == 2)
 
 
 def _array(

@@ -142,6 +142,8 @@ def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
         say(f"method: {method}, in a process of its own")
         own = run_own(Path(method), SphereSweep(frame.rig, grid, device=device), frame.images)
         say(f"it took {own.seconds:.1f} s")
+        if not own.judged:
+            say("it returns no confidence, so none of its depths is doubted")
         return own.depth
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.pace import say_frame

@@ -34,7 +34,9 @@ def trust(depth: Depth) -> NDArray[np.float32]:
     evidence = depth.valid & (depth.index <= depth.grid.num_spheres - 3) & _is_lit(depth)
     right = np.maximum(2 * depth.grid.step, 0.1 * depth.inverse_depth)
     probability = likely(right, depth.sigma, depth.bound)
-    probability = np.where(np.isnan(depth.sigma), depth.confidence.clip(0, 1), probability)
+    probability = np.where(
+        np.isnan(depth.sigma), np.nan_to_num(depth.confidence).clip(0, 1), probability
+    )
     found = np.where(evidence, probability, 0)
     doubtful = _floating(depth, found) | may_be_nearer(depth)
     return np.where(doubtful, DOUBTFUL * found, found).astype(np.float32)

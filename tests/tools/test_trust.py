@@ -40,6 +40,12 @@ def test_the_curve_goes_through_both_bars():
     assert np.isnan(likely(1.0, np.nan, np.nan))
 
 
+def test_a_depth_of_unknown_confidence_is_not_trusted(box):
+    rig, index, images = box
+    depth = osl.Depth(index, np.full_like(index, np.nan), SphereSweep(rig, GRID), images)
+    assert not trust(depth).any()
+
+
 def test_on_the_last_spheres_it_may_be_nearer(box):
     rig, _, images = box
     index = np.full(GRID.shape, 190, np.float32)
