@@ -30,7 +30,7 @@ endef
 export CHECK_PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help lab fresh progress doctor test check test-all coverage grade depth demo render bench results notebooks solutions book slides constraints clean
+.PHONY: help lab fresh progress depth demo doctor test check test-all coverage grade render bench results notebooks solutions book slides constraints clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)

@@ -90,6 +90,7 @@ def find_sets(names: Sequence[str]) -> dict[str, Path]:
             unpack(folder)
         if Path(text).name != text or not folder.is_dir():
             folder = Path(text).resolve()
+            unpack(folder)
             is_split = folder.name in ("train", "test")
             name = f"{folder.parent.name}-{folder.name}" if is_split else folder.name
         if not folder.is_dir():

@@ -28,7 +28,9 @@ notebooks = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path
 def test_slides_lose_no_picture_link_or_script(shown, path):
     page = Page(shown / f"{path.stem}.slides.html")
     stills_shown = 2 * count_stills(path)  # for light pages and dark ones
-    assert len(page.pictures) == count_pictures(path) + stills_shown + 1  # on the title slide
+    assert (
+        len(page.pictures) == count_pictures(path, slides=True) + stills_shown + 1
+    )  # on the title slide
     assert all(len(picture["alt"]) >= 20 for picture in page.pictures)
     assert list(foreign_or_missing(page)) == []
     assert [link for link in page.links if not leads(page, link, {})] == []

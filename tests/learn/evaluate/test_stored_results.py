@@ -34,8 +34,10 @@ def cells(figures):
     ]
 
 
-def split_of(name):
-    return "train" if name == "penalties" else "test"
+def folder_of(data):
+    """Of a data set by its name in a result: "sunny" is its test frames, "sunny-train" the others."""
+    name, _, split = data.partition("-")
+    return DATA / name / (split or "test")
 
 
 @pytest.mark.parametrize("name", STORED)
@@ -49,10 +51,9 @@ def test_they_come_from_what_ships(name):
     } == stored["weights"]
     for key, digest in stored["data"].items():
         data, _, file = key.partition("/")
-        split = split_of(name)
-        unpack(DATA / data / split)
+        unpack(folder_of(data))
         # lights share the depth of one drive
-        own, shared = DATA / data / split / file, DATA / "sunny" / split / file
+        own, shared = folder_of(data) / file, folder_of("sunny") / file
         assert checksum((own if own.is_file() else shared).read_bytes()) == digest, key
     frames = [frame for numbered in stored["frames"].values() for frame in numbered.values()]
     assert all(set(frame) == set(stored["methods"]) for frame in frames)
@@ -62,7 +63,7 @@ def test_they_come_from_what_ships(name):
 @pytest.mark.parametrize(("name", "number"), [("ablations", 831), ("penalties", 153)])
 def test_a_frame_again(name, number):
     stored = read_record(STORED[name])
-    data = osl.load_dataset(DATA / "sunny", split=split_of(name))
+    data = osl.load_dataset(folder_of(*stored["frames"]))
     scale = SCALES["teaching"]
     grid = osl.SphereGrid(
         scale.width, scale.height, num_spheres=scale.num_spheres, min_depth=data.rig.min_depth
@@ -77,7 +78,8 @@ def test_a_frame_again(name, number):
     )
     assert again.keys() == set(methods) and len(methods) >= 6
     for method, errors in again.items():
-        figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
+        (frames,) = stored["frames"].values()
+        figures = frames[f"{number:05}"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
 
 
@@ -102,7 +104,7 @@ def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
             RECIPES["sweepnet"]["shipped"], DATA / "sunny" / "train"
         ).validation
     }
-    assert set(read_record(STORED["penalties"])["frames"]["sunny"]) <= kept_apart
+    assert set(read_record(STORED["penalties"])["frames"]["sunny-train"]) <= kept_apart
 
 
 def test_the_page_on_training_quotes_the_results():
