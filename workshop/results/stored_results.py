@@ -32,9 +32,7 @@ EVALUATIONS = {  # name of the stored result → arguments of `omnistereo evalua
     ),
     "calibrated": f"--sets sunny --rig {RIG}",
     # On training frames that the networks have not learned from.
-    "penalties": (
-        "--sets data_samples/sunny/train --frames 3 153 303 453 --ablations penalties"
-    ),
+    "penalties": ("--sets data_samples/sunny/train --frames 3 153 303 453 --ablations penalties"),
     "paper": f"--sets {_SETS} aerial --scale paper",
     "teaching-volumenet": f"--sets {_SETS} aerial --methods {_VOLUMENET}",
     "paper-volumenet": f"--sets {_SETS} aerial --methods {_VOLUMENET} --scale paper",
