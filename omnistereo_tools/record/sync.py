@@ -17,6 +17,7 @@ from omnistereo_lib.frame import to_gray
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
+from omnistereo_rigs.images.sound import heard_late
 from omnistereo_tools.input.sources import Film, Recording
 from omnistereo_tools.progress import say
 from omnistereo_tools.record.recordings import SETTINGS
@@ -67,7 +68,8 @@ def _check(recording: Recording, rig: Rig) -> tuple[str | None, str | None]:
 
 
 def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[int]:
-    """Return by how much each camera's times are late, ns, measured from the images; say it.
+    """Return by how much each camera's times are late, ns, measured from the images, or, where they
+    do not show it, from the sound of videos; say it.
 
     Args:
         paths: Of the recording, see `Recording.open`.
@@ -81,10 +83,16 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
     for start in _places(recording, _PLACES):
         if (late_here := _measure(rig, _images(recording, rig, start, FRAMES))) is not None:
             found.append((start, late_here))
+    heard = _heard(recording)
+    if not found and heard:
+        say("the images do not show how late the cameras are; their sound does")
+        say(_sentence(recording, [own / recording.step for own in heard]) or "no camera is late")
+        return heard
     if not found:
         raise OmnistereoError(
             "how late the cameras are cannot be measured: it takes four frames or more between "
-            "which the rig moves by 10 cm or more, and images with texture. Leave out --sync"
+            "which the rig moves by 10 cm or more, and images with texture, or videos with the "
+            "same sound. Leave out --sync"
         )
     frames = np.array([one for _, one in found])
     apart = np.ptp(frames, axis=0)
@@ -110,7 +118,21 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
     stated = list(late) or [0] * len(mean)
     # Pictures that are only counted can be moved by whole numbers alone.
     moved = mean if recording.step else mean.round()
-    return [round(known + step * value) for known, value in zip(stated, moved, strict=True)]
+    measured = [round(known + step * value) for known, value in zip(stated, moved, strict=True)]
+    if heard and np.ptp(np.subtract(heard, measured)) > step / 2:
+        by_sound = _sentence(recording, [own / step for own in heard]) or "no camera is late"
+        say(f"by their sound, {by_sound}; matched by the images")
+    return measured
+
+
+def _heard(recording: Recording) -> list[int] | None:
+    """Return by how much each camera's times are late by the sound of videos whose clocks are their
+    own, ns; None where there is no such sound.
+    """
+    films = [source.video for source in recording.sources if isinstance(source, Film)]
+    if len(films) < len(recording.sources) or recording.shared or not recording.step:
+        return None
+    return heard_late(films)
 
 
 def _measure(rig: Rig, images: Sequence[_Moment]) -> Sequence[float] | None:
