@@ -29,7 +29,8 @@ from omnistereo_rigs.images.videos import VIDEOS, moments_of_videos, open_videos
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}
 
 
-_CANDIDATES, _MOST, _STILL = 160, 40, 2.0  # frames of videos, those used, gray values apart
+# Of videos: frames looked at and used, for each camera; gray values apart.
+_CANDIDATES, _MOST, _STILL = 80, 20, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +166,14 @@ def _of_videos(folder: Path) -> Captures:
         raise OmnistereoError(
             f"{names} have no moment in common. Check that all were filmed at once"
         )
-    tried = candidates(common, _CANDIDATES)
+    tried = candidates(common, len(videos) * _CANDIDATES)
     read = [
         video.read([pairs[number] for number in tried])
         for video, pairs in zip(videos, matched.pairs, strict=True)
     ]
-    chosen = choose([look(images) for images in zip(*read, strict=True)], _MOST, _STILL)
+    chosen = choose(
+        [look(images) for images in zip(*read, strict=True)], len(videos) * _MOST, _STILL
+    )
     numbers = [tried[k] for k in chosen]
     return Captures(
         tuple(v.path.stem if v.path.parent == folder else v.path.parent.name for v in videos),

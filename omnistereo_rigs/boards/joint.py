@@ -261,6 +261,12 @@ def _relative_pose(
     """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the
     board.
     """
+    if len(captures) == 1 < len(board.symmetries):
+        raise OmnistereoError(
+            f"cameras {i + 1} and {j + 1} share one capture, and the board looks the same from "
+            "another end, so it does not show how they stand to each other. Hold the board between "
+            "them more often, in different places"
+        )
     # In capture k both cameras see one board, so T_j_i = T_j_board (T_i_board S)⁻¹ if the corners
     # of camera j are those of camera i in the symmetry S of the board.
     proposals = {

@@ -92,6 +92,16 @@ def test_cameras_that_share_no_capture(seen_by_four):
         calibrate_rig(seen_by_four[::2], BOARD, [SIZE] * 2, degree=DEGREE)
 
 
+def test_one_shared_capture_of_a_symmetric_board_does_not_show_a_pose(seen_by_four):
+    """Read from the other end it is as good: camera 2 came out turned by 180°, "known to 0.08°"."""
+    one, two = seen_by_four[:2]
+    both = [k for k in range(len(one)) if one[k] is not None and two[k] is not None]
+    kept = [None if k in both[1:] else view for k, view in enumerate(two)]
+    assert len(BOARD.symmetries) > 1
+    with pytest.raises(OmnistereoError, match="cameras 1 and 2 share one capture, and the board"):
+        calibrate_rig([one, kept], BOARD, [SIZE] * 2, degree=DEGREE)
+
+
 def test_cameras_whose_shared_captures_are_blurred(seen_by_four):
     rng = np.random.default_rng(2)
     views = [list(row) for row in seen_by_four[:3]]  # the first and the third share none
