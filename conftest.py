@@ -1,10 +1,14 @@
 """How the tests run: which cores, in which order. How notebooks compare: `notebook_comparison`."""
 
 import os
+import signal
 
 import pytest
 
 pytest_plugins = ["notebook_comparison"]
+
+# A run in the background of a shell ignores Ctrl-C, and so would all that it starts; tests send it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Every test process gets its share of the cores. Numba keeps two threads at least, so that a race
 # in a parallel loop has a chance to show. Set in xdist's workers alone: they inherit what the

@@ -191,14 +191,8 @@ def run(server, shell, clone):
 
 def _run_until_stopped(line, folder, shell):
     """Start what serves a page, open the page, and stop it by Ctrl-C; return as `run`."""
-    # A test run in the background of a shell ignores Ctrl-C, and what it starts would, too.
     process = subprocess.Popen(
-        ["bash", "-c", f"exec {line}"],
-        cwd=folder,
-        env=shell,
-        stdout=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        ["bash", "-c", f"exec {line}"], cwd=folder, env=shell, stdout=subprocess.PIPE, text=True
     )
     address = next(found[0] for text in process.stdout if (found := re.search(r"http://\S+", text)))
     assert b"<html" in urlopen(address, timeout=60).read()
