@@ -87,8 +87,10 @@ class FeatureFinder:
             enable_precise_upscale=True,
         )
         rays, descriptors = [np.zeros((0, 3))], [np.zeros((0, 128), np.float32)]
+        # None: with an empty array in its place OpenCV 5.0 samples nonsense in other modes
+        no_second: Any = None
         for R, uv, inside in self.views:
-            view = cv2.remap(np.asarray(gray, np.uint8), uv, np.empty(0), cv2.INTER_CUBIC)
+            view = cv2.remap(np.asarray(gray, np.uint8), uv, no_second, cv2.INTER_CUBIC)
             keypoints, found = sift.detectAndCompute(view, inside)
             if keypoints:
                 rays.append(self._rays(np.array([k.pt for k in keypoints]), R))

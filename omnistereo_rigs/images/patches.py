@@ -1,6 +1,7 @@
 """Least-squares matching: observations to a tenth of a pixel, from patches of the images."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -141,6 +142,7 @@ class _PatchMatcher:
     def _sample(self, camera: NDArray[np.int64], uv: Floats, layer: int = 0) -> NDArray[np.float32]:
         """Return gray values (P, 169), or slopes, where cameras (P,) have pixels uv."""
         values = np.zeros(uv.shape[:2], np.float32)
+        no_second: Any = None  # see `FeatureFinder.find`
         for (frame, i), layers in self.layers.items():
             mine = (self.frame == frame) & (camera == i)
             if mine.any():
@@ -148,7 +150,7 @@ class _PatchMatcher:
                 values[mine] = cv2.remap(
                     layers[layer],
                     at,
-                    np.empty(0),
+                    no_second,
                     cv2.INTER_LANCZOS4,
                     borderMode=cv2.BORDER_REPLICATE,
                 )
