@@ -1,7 +1,7 @@
 """Calibration captures as files: images of one number from all cameras that see the whole board.
 
 `boards` plans them, `studio` draws them. All that is known of a set is in its folder: the true rig
-in `config.yaml`, boards, poses and corners in `truth.json`.
+in `config.yaml`, boards and poses in `truth.json`; `positions.true_corners` projects their corners.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.files import make_folder, write_text
-from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.pictures import is_whole
 from workshop.render.boards.positions import (
     COLUMNS,
@@ -23,7 +22,6 @@ from workshop.render.boards.positions import (
     Capture,
     CaptureSet,
     plan_captures,
-    true_corners,
 )
 from workshop.render.camera.render_rig import RigCamera, make_rig, write_config
 
@@ -47,16 +45,14 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
 
     `board` has the inner corners (columns, rows) and the square in metres. `captures` are in order;
     each has its `name` (the pictures are cam1/NAME.jpg and so on), its `mistake` or null, and its
-    `views`: the `camera` from 1, the pose `T_rig_board` (axis-angle in radians, metres; of a
-    blurred board in the middle of the exposure) and the `corners`, [u, v] in pixels, row by row,
-    columns fastest, null outside the camera's field.
+    `views`: the `camera` from 1, and the pose `T_rig_board` (axis-angle in radians, metres; of a
+    blurred board in the middle of the exposure).
     """
-    rig = make_rig(seed, captures.rig)
     entries = []
     for number, capture in enumerate(plan_captures(captures, seed), start=captures.first):
         views = ",\n   ".join(
             json.dumps(
-                _view(rig.cameras[camera - 1], camera, pose, captures.size[0]),
+                {"camera": camera, "T_rig_board": pose.as_vector().round(6).tolist()},
                 separators=(",", ":"),
             )
             for camera, pose in capture.T_rig_board.items()
@@ -68,15 +64,6 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
     board = json.dumps({"corners": [COLUMNS, ROWS], "square": SQUARE})
     text = f'{{"board": {board},\n "captures": [\n' + ",\n".join(entries) + "\n ]}\n"
     write_text(path, text)
-
-
-def _view(camera: RigCamera, number: int, T_rig_board: Pose, width: int) -> dict[str, object]:
-    corners = true_corners(camera, T_rig_board, width).round(4)
-    return {
-        "camera": number,
-        "T_rig_board": T_rig_board.as_vector().round(6).tolist(),
-        "corners": [None if np.isnan(u) else [u, v] for u, v in corners.tolist()],
-    }
 
 
 def render_captures(
