@@ -26,7 +26,7 @@ OPENING = re.compile(
 )
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
 # **03.1 (warm-up).**
-EXERCISE = re.compile(r"^\*\*\d\db?\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)
+EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)
 LEVELS = ["warm-up", "medium", "hard", "open"]
 KINDS = ["experiment", "case", "open question"]  # of exercises behind open functions
 

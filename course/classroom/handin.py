@@ -38,8 +38,8 @@ MAX_NOTES = 50
 MAX_ARRAY_BYTES = 64 * 2**20  # of an answer
 STATUSES = ("right", "wrong", "not tried", "not judged")
 # module, checker, function
-CHECKED = re.compile(r"\b(?:exercises|(nb\d\db?))\.(check_\w+)\((\w+)\)")
-NUMBER = re.compile(r"^\*\*(\d\db?\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
+CHECKED = re.compile(r"\b(?:exercises|(nb\d\d))\.(check_\w+)\((\w+)\)")
+NUMBER = re.compile(r"^\*\*(\d\d\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
 ENVIRONMENT = (
     Path(sys.prefix),
     *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")),

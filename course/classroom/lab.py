@@ -41,6 +41,11 @@ def start(options: list[str]) -> None:
     for path in nbtools.notebooks():
         if not (WORKING / path.name).exists():
             write_text(WORKING / path.name, copy_of(path))
+    for old, new in nbtools.MOVED.items():
+        if (WORKING / f"{old}.ipynb").exists():
+            print(
+                f"{old} is now {new}: yours is kept, its checks run in the course of its day only"
+            )
     LabApp.launch_instance(
         [*SETTINGS, *AS_ROOT, *options, str(WORKING / nbtools.notebooks()[0].name)]
     )

@@ -4,7 +4,7 @@ saved.
 Its links open the notebooks in the JupyterLab that `make lab` has started, whose addresses reach no
 single cell. Once the student's functions make a method, `mine/omnistereo.py`, it is run on a frame,
 and its error and time stand beside the library's. Where every function is right, it ends with a
-certificate: the panorama that notebook 13 computed by the student's own.
+certificate: the panorama that notebook 06 computed by the student's own.
 """
 
 import html
@@ -20,7 +20,7 @@ from course.classroom.lab import WORKING
 from course.exercises import mine
 from omnistereo_lib.files import write_text
 
-PICTURE = '"13 repaired"'  # the name of the figure that the certificate shows
+PICTURE = '"06 repaired"'  # the name of the figure that the certificate shows
 SAID = re.compile(r"^\x1b\[\d+m([✓✗])\x1b\[0m (\w+): ", re.MULTILINE)  # `Open.__call__`
 PAGE = """<!doctype html>
 <html lang="en">
@@ -154,7 +154,7 @@ def _item(name: str, mark: str) -> str:
 
 
 def _certificate(total: int) -> str:
-    path = next(path for path in nbtools.notebooks() if nbtools.number(path) == "13")
+    path = next(path for path in nbtools.notebooks() if nbtools.number(path) == "06")
     cells = nbtools.code_cells(nbtools.read_notebook(WORKING / path.name))
     for output in itertools.chain(*(cell.outputs for cell in cells if PICTURE in cell.source)):
         for mime in set(nbtools.PICTURES) & set(output.get("data", {})):

@@ -134,7 +134,7 @@ def view() -> tuple:
 
 def costs() -> tuple:
     """Return the path costs of every fourth ray of the street, (20, 80, 16)."""
-    sum_of_paths = import_module("course.exercises.nb07").sum_of_paths
+    sum_of_paths = import_module("course.exercises.nb05").sum_of_paths
 
     return (sum_of_paths(*volume(), EIGHT),)
 

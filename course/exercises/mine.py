@@ -79,7 +79,7 @@ def folder() -> Path | None:
 
 
 def number_of(answer: Callable[..., Any]) -> str:
-    """Return the number of the notebook of a solution, such as "06b"."""
+    """Return the number of the notebook of a solution, such as "06"."""
     return answer.__module__.rpartition(".nb")[2]
 
 

@@ -1,175 +1,155 @@
-"""Notebook 06: the features of a camera, the comparison of two, the labels of a sphere, the
-balanced loss."""
+"""Notebook 06, the one page: the lens, the warp, the cost volume, and points from depth."""
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
+from course.exercises import beside
 from course.exercises.compare import Array, Rng
+from course.exercises.nb03 import look_up
+from course.exercises.nb04 import mean_of_pairs
 from course.exercises.opened import Open
-
-Layers = list[tuple[Tensor, Tensor]]
-
-
-def camera_features(images, layers):
-    """Feature maps (B, C, H/2, W/2) of images (B, H, W); layers: (weight, bias) of conv1 to conv18."""
-    conv1, *blocks, conv18 = layers
-    x = torch.relu(nn.functional.conv2d(images[:, None], *conv1, stride=2, padding=2))
-    for one, two in zip(blocks[::2], blocks[1::2], strict=True):
-        inner = torch.relu(nn.functional.conv2d(x, *one, padding=1))
-        x = torch.relu(x + nn.functional.conv2d(inner, *two, padding=1))
-    return torch.relu(nn.functional.conv2d(x, *conv18, padding=1))
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 
 
-def _layers(rng: Rng, *shapes: tuple[int, ...]) -> Layers:
-    """Weights and biases; their scale keeps the numbers behind the layers alive and apart."""
-    drawn = [(rng.normal(0.03, 0.5 / np.sqrt(shape[1]), shape), shape) for shape in shapes]
-    return [
-        (_tensor(weight).requires_grad_(), _tensor(rng.normal(0.1, 0.2, shape[0])))
-        for weight, shape in drawn
+def project(camera, points):
+    """Pixels (…, 2) of points (…, 3) in the camera's frame; NaN where the camera does not see them."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    across = np.hypot(x, y)
+    t = np.arctan2(-z, across)  # the angle from the axis, less 90°
+    r = np.polyval(camera.inv_poly[::-1], t)  # pixels from the centre
+    x, y = r * x / across, r * y / across
+    c, d, e = camera.affine
+    u, v = x + e * y + camera.center[0], d * x + c * y + camera.center[1]
+    width, height = camera.image_size
+    inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+    visible = inside & (t <= np.radians(camera.max_fov_deg / 2 - 90))
+    return np.where(visible[..., None], np.stack([u, v], axis=-1), np.nan)
+
+
+def _camera() -> OcamCamera:
+    poly, inverse = np.array([-200.0, 0.0, 1e-3]), np.array([210.0, 160.0, 15.0, -9.0])
+    return OcamCamera(poly, inverse, (400.0, 380.0), (1.02, 0.01, -0.02), (800, 768), 200.0)
+
+
+def _in_camera(rng: Rng, k: int) -> tuple:
+    points = rng.normal(0, 1, (4, 5 + k % 3, 3))
+    points[0] *= [1, 1, 0.1]  # at the edge of the field of view, and of the image
+    return _camera(), points[k % 2] if k % 3 == 1 else points
+
+
+check_project = Open(project, _in_camera).with_slips("""
+    np.arctan2(-z, across) → np.arctan2(z, across)
+    # t is the angle below the xy-plane: arctan2(-z, …)
+    camera.inv_poly[::-1] → camera.inv_poly  # np.polyval wants the highest power first
+    x + e * y + camera.center[0], d * x + c * y → c * x + d * y + camera.center[0], e * x + y
+    # u goes with x and v with y: u = x + e y, v = d x + c y
+    camera.center[0], d * x + c * y + camera.center[1]
+    → camera.center[1], d * x + c * y + camera.center[0]
+    # the centre is (u, v): its parts are swapped
+    inside & (t <= np.radians(camera.max_fov_deg / 2 - 90)) → inside
+    # a point outside the field of view has no pixel: t is at most half of it, less 90°
+""")
+
+
+def warp(image, camera, pose, points):
+    """Gray values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not
+    see them (Eq. 1)."""
+    in_camera = (points - pose.t) @ pose.R  # the way back from p = R q + t, for points in rows
+    return look_up(image, project(camera, in_camera))
+
+
+def _a_view(rng: Rng, k: int) -> tuple:
+    pose = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
+    points = rng.uniform(0.8, 2.5, (3, 4 + k % 3, 3))
+    points[0] = pose @ (points[0] * [1, 1, -3])  # behind the camera
+    rows, columns = np.mgrid[:768, :800]
+    return 100 + 50 * np.sin(rows / 40) + 40 * np.cos(columns / 30), _camera(), pose, points
+
+
+check_warp = Open(warp, _a_view, whole=("image",), real=beside.view).with_slips("""
+    @ pose.R → @ pose.R.T  # the rotation is not undone: points in rows times R, not Rᵀ
+    (points - pose.t) @ pose.R → points @ pose.R - pose.t
+    # first subtract t, then rotate: (p - t) R
+    points - pose.t → points  # the translation is missing: (p - t) R
+    (points - pose.t) @ pose.R → points
+    # the points are in the rig frame: take them to the camera's first
+""")
+
+
+def cost_volume(images, cameras, poses, theta, phi, radii, pair_cost):
+    """Costs (H, W, N) of the rays of a panorama on the spheres around the middle of the cameras,
+    radii (N,) in metres: the mean over the ring of neighbouring cameras (Eq. 2).
+
+    theta (W,), phi (H,): angles of the columns and rows, radians. pair_cost: from two warped images
+    (H, W) to costs (H, W), NaN where not both see."""
+    theta, phi = np.meshgrid(theta, phi)
+    rays = [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)]
+    rays = np.stack(rays, axis=-1)
+    center = np.mean([pose.t for pose in poses], axis=0)
+    volume = []
+    for radius in radii:
+        warped = []
+        for image, camera, pose in zip(images, cameras, poses, strict=True):
+            warped.append(warp(image, camera, pose, center + radius * rays))
+        # the last camera and the first are neighbours, too
+        neighbours = [*warped[1:], warped[0]]
+        costs = [pair_cost(a, b) for a, b in zip(warped, neighbours, strict=True)]
+        volume.append(mean_of_pairs(np.stack(costs)))
+    return np.stack(volume, axis=-1)
+
+
+def _a_rig(rng: Rng, k: int) -> tuple:
+    rows, columns = np.mgrid[:768, :800]
+    count = 3 + k % 2
+    images = [np.sin(rows / rng.uniform(30, 60)) + np.cos(columns / 30 + i) for i in range(count)]
+    poses = [
+        Pose.from_vector([0, 2 * np.pi * i / count, 0, *rng.normal(0, 0.4, 3)])
+        for i in range(count)
     ]
+    theta, phi = rng.uniform(-3, 3, 7 + k % 3), np.sort(rng.uniform(-0.7, 0.7, 4))
+    radii = rng.uniform(1.5, 6, 3)
+    return images, [_camera()] * count, poses, theta, phi, radii, _apart
 
 
-def _tensor(values: Array) -> Tensor:
-    return torch.from_numpy(np.asarray(values)).float()
+def _apart(a: Array, b: Array) -> Array:
+    return abs(a - b) / 4
 
 
-def _per_camera(rng: Rng, channels: int, blocks: int) -> Layers:
-    return _layers(rng, (channels, 1, 5, 5), *[(channels, channels, 3, 3)] * (2 * blocks + 1))
-
-
-def _images_and_layers(rng: Rng, k: int) -> tuple:
-    return _tensor(rng.normal(0, 1, (2, 8, 10 + 2 * (k % 3)))), _per_camera(
-        rng, 3 + k % 2, 2 + k % 2
-    )
-
-
-check_camera_features = Open(camera_features, _images_and_layers).with_slips("""
-    torch.relu(x + nn → torch.relu(nn  # the shortcut is missing: add the input of each block
-    torch.relu(x + nn → x + torch.relu(nn  # add the input of a block before its last ReLU
-    inner = torch.relu(nn.functional.conv2d(x, *one, padding=1))
-    → inner = nn.functional.conv2d(x, *one, padding=1)
-    # there is a ReLU between the two layers of a block, too
-    return torch.relu(nn.functional.conv2d(x, *conv18, padding=1))
-    → return nn.functional.conv2d(x, *conv18, padding=1)
-    # conv18 has a ReLU behind it as well
-    *conv1, stride → conv1[0], stride
-    *one → one[0]
-    *two → two[0]
-    *conv18 → conv18[0]
-    # add the bias of each layer, the second argument of conv2d after the image
-""")
-
-
-def pair_features(left, right, per_camera, per_pair, halo):
-    """Numbers (B, H, W, C) of each ray, of two warped images (B, H, W), NaN where unseen, around
-    the seam."""
-    left, right = (
-        nn.functional.pad(x.nan_to_num(), (halo, halo), mode="circular") for x in (left, right)
-    )
-    conv19, deconv1, conv20 = per_pair
-    x = torch.cat([camera_features(left, per_camera), camera_features(right, per_camera)], dim=1)
-    x = torch.relu(nn.functional.conv2d(x, *conv19, padding=1))
-    x = torch.relu(
-        nn.functional.conv_transpose2d(x, *deconv1, stride=2, padding=1, output_padding=1)
-    )
-    x = torch.relu(nn.functional.conv2d(x, *conv20, padding=1))
-    return x[..., halo : x.shape[-1] - halo].permute(0, 2, 3, 1)
-
-
-def _two_images(rng: Rng, k: int) -> tuple:
-    channels, wide = 3, 4
-    images = rng.normal(0, 1, (2, 1, 8, 12 + 2 * (k % 3)))
-    images[0, :, 2:4, 5:8] = images[1, :, :2, 1:3] = np.nan
-    left, right = map(_tensor, images)
-    per_pair = _layers(rng, (wide, 2 * channels, 3, 3), (wide, wide, 3, 3), (wide, wide, 3, 3))
-    return left, right, _per_camera(rng, channels, 2), per_pair, 4 + 2 * (k % 2)
-
-
-check_pair_features = Open(pair_features, _two_images).with_slips("""
-    mode="circular" → mode="constant"
-    # zeros beyond the seam are not what is there: mode='circular'
-    mode="circular" → mode="replicate"  # the panorama is a circle: mode='circular'
-    x[..., halo : x.shape[-1] - halo] → x
-    # cut the repeated columns off again: `halo` on both sides
-    left, right =
-    → both = 0 * (left + right); left, right = left + both, right + both; left, right =
-    # each image keeps what it sees: only its own NaN become 0
-""")
-
-
-def draw_labels(true_index, n, luck, most, per_positive, least):
-    """Labels (H, W) of sphere n: 0 on positives, 1 on negatives, NaN on rays that are not asked."""
-    positives = np.flatnonzero(np.rint(true_index) == n)
-    # an unknown index, NaN, is neither
-    negatives = np.flatnonzero(np.abs(np.rint(true_index) - n) >= 1)
-    positives = positives[luck.flat[positives].argsort()[:most]]
-    count = max(per_positive * len(positives), least)
-    negatives = negatives[luck.flat[negatives].argsort()[:count]]
-    labels = np.full(true_index.shape, np.nan)
-    labels.flat[positives] = 0
-    labels.flat[negatives] = 1
-    return labels
-
-
-def _a_sphere(rng: Rng, k: int) -> tuple:
-    n = int(rng.integers(2, 9))
-    true_index = n + rng.uniform(-3, 3, (8, 10 + k % 3))
-    true_index[:2] = n + rng.uniform(-0.49, 0.49, true_index[:2].shape)
-    true_index[rng.uniform(0, 1, true_index.shape) < 0.2] = np.nan
-    if k == 4:
-        true_index = np.where(np.rint(true_index) == n, np.nan, true_index)  # no positive at all
-    return (
-        true_index,
-        n,
-        rng.uniform(0, 1, true_index.shape),
-        (4, 8, 50)[k % 3],
-        (1, 2)[k % 2],
-        (0, 12, 25)[k // 2 % 3],
-    )
-
-
-check_draw_labels = Open(
-    draw_labels, _a_sphere, keywords=("most", "per_positive", "least")
+check_cost_volume = Open(
+    cost_volume, _a_rig, whole=("images", "cameras", "poses", "theta", "phi")
 ).with_slips("""
-    max(per_positive * len(positives), least) → per_positive * len(positives)
-    # at least `least` negatives: a sphere without positives has them, too
-    max(per_positive * len(positives) → max(per_positive * np.sum(np.rint(true_index) == n)
-    # count the positives that were drawn, not all of them
-    max(per_positive * len(positives), least) → per_positive * len(positives) + least
-    # the larger of the two numbers, not their sum
-    [:most] →  # at most `most` positives
+    neighbours = [*warped[1:], warped[0]] → neighbours = warped[1:]; warped = warped[:-1]
+    # the ring closes: the last camera and the first are a pair
+    mean_of_pairs(np.stack(costs)) → np.mean(costs, axis=0)
+    # a pair that does not see the ray is NaN, and must not count: mean_of_pairs
+    mean_of_pairs(np.stack(costs)) → np.nansum(costs, axis=0)
+    # that is the sum over the pairs: take the mean
+    center + radius * rays → radius * rays
+    # the spheres are around the middle of the cameras: center + radius * rays
+    center + radius * rays → pose.t + radius * rays
+    # all cameras are warped onto the same sphere, around the middle of them
 """)
 
 
-def balanced_loss(score, label):
-    """Eq. 4 of scores (K,) before the sigmoid; all positives (label 0) weigh one half, and so do
-    all negatives."""
-    positive, negative = label == 0, label == 1
-    loss = nn.functional.softplus(torch.where(positive, score, -score))
-    weight = torch.where(positive, 0.5 / positive.sum(), 0.5 / negative.sum())
-    return (weight * loss).sum()
+def points_of_depth(depth, theta, phi):
+    """Points (H, W, 3) in metres, rig frame, of a depth panorama (H, W); angles (W,) and (H,) in
+    radians."""
+    theta, phi = np.meshgrid(theta, phi)
+    rays = np.stack(
+        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1
+    )
+    return depth[..., None] * rays
 
 
-def _scores(rng: Rng, k: int) -> tuple:
-    label = np.repeat([0.0, 1.0], [0 if k == 4 else 4, 11 + k])
-    rng.shuffle(label)
-    score = rng.normal(0, 2, len(label))
-    score[label == 1] += 1
-    if k == 6:
-        score[label == 0] = 30 + np.arange(4)  # the sigmoid of these is 1 in single precision
-    return _tensor(score).requires_grad_(), _tensor(label)
+def _a_depth(rng: Rng, k: int) -> tuple:
+    H, W = int(rng.integers(2, 5)), int(rng.integers(5, 9))
+    return rng.uniform(1, 20, (H, W)), rng.uniform(-3, 3, W), rng.uniform(-0.7, 0.7, H)
 
 
-check_balanced_loss = Open(balanced_loss, _scores).with_slips("""
-    (weight * loss).sum() → loss.mean()
-    # there are more negatives: each kind weighs one half in all
-    (weight * loss).sum() → (loss[positive].mean() + loss[negative].mean()) / 2
-    # the mean of no rays is NaN: a batch without positives has one kind only, which weighs one half
-    nn.functional.softplus(torch.where(positive, score, -score))
-    → -torch.log(torch.where(positive, 1 - torch.sigmoid(score), torch.sigmoid(score)))
-    # where the sigmoid rounds to 1, log(1 - sigmoid) is infinite: softplus(score) is the same,
-    # exactly
-    torch.where(positive, score, -score) → torch.where(positive, score.sigmoid(), -score.sigmoid())
-    # softplus takes the score, not its sigmoid
+check_points_of_depth = Open(points_of_depth, _a_depth).with_slips("""
+    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
+    → np.sin(theta), np.sin(phi), np.cos(theta)
+    # x and z shrink with cos φ, or the ray has not length 1
+    depth[..., None] * rays → depth[..., None] * rays / rays[..., 2:]
+    # depth is along the ray, not z
 """)

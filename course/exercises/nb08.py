@@ -1,188 +1,175 @@
-"""Notebook 08: a row of Table II, regions by depth, errors of all frames, a table by region, an
-interval, a verdict."""
+"""Notebook 08: the features of a camera, the comparison of two, the labels of a sphere, the
+balanced loss."""
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
-from course.exercises import beside
-from course.exercises.compare import Rng
+from course.exercises.compare import Array, Rng
 from course.exercises.opened import Open
 
-
-def metrics(index, gt_index, N):
-    """Five metrics: >1, >3, >5 in percent of the rays, MAE and RMS; an error of 100 without an
-    estimate."""
-    known = np.isfinite(gt_index)
-    e = 100 / N * np.abs(index - gt_index)[known]
-    e = np.where(np.isnan(e), 100, e)
-    above = [100 * np.mean(e > limit) for limit in (1, 3, 5)]
-    return np.array([*above, e.mean(), np.sqrt(np.mean(e**2))])
+Layers = list[tuple[Tensor, Tensor]]
 
 
-def _two_maps(rng: Rng, k: int) -> tuple:
-    # in 100 spheres some errors are exactly 1, 3 and 5
-    N = 100 if k % 3 == 1 else int(rng.integers(8, 30)) * 4
-    gt_index = rng.uniform(0, N - 1, (4, 9 + k % 4))
-    index = gt_index + rng.normal(0.005 * N, 0.035 * N, gt_index.shape)
-    gt_index[1, :3], index[1, :3] = N / 2, N / 2 + np.array([1, 3, 5]) * N / 100
-    gt_index[0, :2] = index[0, 1:3] = index[2, :2] = np.nan
-    index = index.astype(np.float32 if k % 2 else np.float64)
-    return np.round(index * 1024) / 1024, np.round(gt_index * 1024) / 1024, N
+def camera_features(images, layers):
+    """Feature maps (B, C, H/2, W/2) of images (B, H, W); layers: (weight, bias) of conv1 to conv18."""
+    conv1, *blocks, conv18 = layers
+    x = torch.relu(nn.functional.conv2d(images[:, None], *conv1, stride=2, padding=2))
+    for one, two in zip(blocks[::2], blocks[1::2], strict=True):
+        inner = torch.relu(nn.functional.conv2d(x, *one, padding=1))
+        x = torch.relu(x + nn.functional.conv2d(inner, *two, padding=1))
+    return torch.relu(nn.functional.conv2d(x, *conv18, padding=1))
 
 
-check_metrics = Open(metrics, _two_maps).with_slips("""
-    np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
-    # a ray without an estimate is an error of 100; it is not left out
-    np.where(np.isnan(e), 100, e) → np.nan_to_num(e)
-    # a ray without an estimate is an error of 100, not of 0
-    [known] →  # a ray without ground truth is left out; it is no error of 100
-    100 / N * →  # errors in percent of the N spheres: times 100 / N
-    e > limit → e >= limit  # an error of exactly the limit is not above it
-""")
+def _layers(rng: Rng, *shapes: tuple[int, ...]) -> Layers:
+    """Weights and biases; their scale keeps the numbers behind the layers alive and apart."""
+    drawn = [(rng.normal(0.03, 0.5 / np.sqrt(shape[1]), shape), shape) for shape in shapes]
+    return [
+        (_tensor(weight).requires_grad_(), _tensor(rng.normal(0.1, 0.2, shape[0])))
+        for weight, shape in drawn
+    ]
 
 
-def depth_regions(gt_index, N):
-    """Region (H, W) of each ray: 0 sky, then the thirds of the inverse depth: 1 far, 2 middle, 3
-    near; NaN unknown."""
-    fraction = gt_index / (N - 1)  # of the inverse depth of the nearest sphere
-    region = np.sum([fraction > 0, fraction >= 1 / 3, fraction >= 2 / 3], axis=0)
-    return np.where(np.isnan(gt_index), np.nan, region)
+def _tensor(values: Array) -> Tensor:
+    return torch.from_numpy(np.asarray(values)).float()
 
 
-def _a_truth(rng: Rng, k: int) -> tuple:
-    N = 1 + 3 * int(rng.integers(10, 60))  # thirds are whole spheres
-    gt_index = rng.uniform(0, N - 1, (4, 6 + k % 4))
-    gt_index[0, :3], gt_index[1, :3] = 0, np.nan
-    gt_index[2, :4] = (N - 1) // 3, 2 * (N - 1) // 3, N - 1, 0.2
-    return gt_index, N
+def _per_camera(rng: Rng, channels: int, blocks: int) -> Layers:
+    return _layers(rng, (channels, 1, 5, 5), *[(channels, channels, 3, 3)] * (2 * blocks + 1))
 
 
-check_depth_regions = Open(depth_regions, _a_truth, real=beside.truth).with_slips("""
-    gt_index / (N - 1) → 1 - gt_index / (N - 1)
-    # sphere 0 is at infinity, sphere N - 1 the nearest: it runs the other way
-    fraction > 0 → fraction >= 0  # the sky, at index 0, is a region of its own
-    fraction > 0 → gt_index >= 1  # only index 0 is the sky: a far house is none
-    fraction >= → fraction >  # exactly a third belongs to the nearer region: >=
-""")
-
-
-def pooled(sums):
-    """Metrics (5,) of all rays together, from each frame's sums (frames, 6): rays, rays >1, >3, >5,
-    Σ e, Σ e²."""
-    rays, *above, total, squares = sums.sum(axis=0)
-    return np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
-
-
-def _some_sums(rng: Rng, k: int) -> tuple:
-    frames = 3 + k % 4
-    rays, means = rng.integers(200, 2500, frames), rng.uniform(1, 5, frames)
-    above = np.sort(rng.uniform(0, 0.6, (frames, 3)))[:, ::-1] * rays[:, None]
-    return (
-        np.column_stack(
-            [rays, np.rint(above), rays * means, rays * means**2 * rng.uniform(1.5, 3, frames)]
-        ),
+def _images_and_layers(rng: Rng, k: int) -> tuple:
+    return _tensor(rng.normal(0, 1, (2, 8, 10 + 2 * (k % 3)))), _per_camera(
+        rng, 3 + k % 2, 2 + k % 2
     )
 
 
-check_pooled = Open(pooled, _some_sums).with_slips("""
-    rays, *above, total, squares = sums.sum(axis=0) → rays, *above, total, squares = sums.T
-    np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
-    → np.mean([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)], axis=1)
-    # that is the mean over the frames: a frame with few rays counts too much
-    sums.sum(axis=0) → sums.T  # those are the metrics of each frame: add up over the frames first
-    np.sqrt(squares / rays) → np.mean(np.sqrt(sums[:, 5] / sums[:, 0]))
-    # a mean of roots is not the root of the mean: add up Σ e² first
-    np.sqrt(squares / rays) → np.sqrt(squares) / rays  # divide under the root
+check_camera_features = Open(camera_features, _images_and_layers).with_slips("""
+    torch.relu(x + nn → torch.relu(nn  # the shortcut is missing: add the input of each block
+    torch.relu(x + nn → x + torch.relu(nn  # add the input of a block before its last ReLU
+    inner = torch.relu(nn.functional.conv2d(x, *one, padding=1))
+    → inner = nn.functional.conv2d(x, *one, padding=1)
+    # there is a ReLU between the two layers of a block, too
+    return torch.relu(nn.functional.conv2d(x, *conv18, padding=1))
+    → return nn.functional.conv2d(x, *conv18, padding=1)
+    # conv18 has a ReLU behind it as well
+    *conv1, stride → conv1[0], stride
+    *one → one[0]
+    *two → two[0]
+    *conv18 → conv18[0]
+    # add the bias of each layer, the second argument of conv2d after the image
 """)
 
 
-def region_table(indices, truths, N):
-    """Rows (5, 6) of all rays, the sky, far, middle and near ones, over all frames: the share of
-    rays in percent, five metrics. indices, truths (frames, H, W)."""
-    table = []
-    for region in (None, 0, 1, 2, 3):
-        sums = []
-        for index, truth in zip(indices, truths, strict=True):
-            inside = np.isfinite(truth)
-            if region is not None:
-                inside &= depth_regions(truth, N) == region
-            e = 100 / N * np.abs(index - truth)[inside]
-            e = np.where(np.isnan(e), 100, e)
-            above = [np.sum(e > limit) for limit in (1, 3, 5)]
-            sums.append([e.size, *above, e.sum(), np.sum(e**2)])
-        sums = np.array(sums)
-        table.append([sums[:, 0].sum(), *pooled(sums)])
-    table = np.array(table)
-    table[:, 0] *= 100 / table[0, 0]
-    return table
+def pair_features(left, right, per_camera, per_pair, halo):
+    """Numbers (B, H, W, C) of each ray, of two warped images (B, H, W), NaN where unseen, around
+    the seam."""
+    left, right = (
+        nn.functional.pad(x.nan_to_num(), (halo, halo), mode="circular") for x in (left, right)
+    )
+    conv19, deconv1, conv20 = per_pair
+    x = torch.cat([camera_features(left, per_camera), camera_features(right, per_camera)], dim=1)
+    x = torch.relu(nn.functional.conv2d(x, *conv19, padding=1))
+    x = torch.relu(
+        nn.functional.conv_transpose2d(x, *deconv1, stride=2, padding=1, output_padding=1)
+    )
+    x = torch.relu(nn.functional.conv2d(x, *conv20, padding=1))
+    return x[..., halo : x.shape[-1] - halo].permute(0, 2, 3, 1)
 
 
-def _some_frames(rng: Rng, k: int) -> tuple:
-    N = 1 + 3 * int(rng.integers(10, 30))
-    truths = rng.uniform(0, N - 1, (3 + k % 2, 4, 12))
-    truths[:, 0, :5] = 0
-    truths[0, 1:, :] *= 0.1  # a frame with much that is far: the means of the frames would differ
-    indices = truths + rng.normal(0.005 * N, 0.03 * N, truths.shape)
-    truths[1, 2, :3] = indices[0, 0, :2] = indices[2, 3, 2] = np.nan
-    return indices, truths, N
+def _two_images(rng: Rng, k: int) -> tuple:
+    channels, wide = 3, 4
+    images = rng.normal(0, 1, (2, 1, 8, 12 + 2 * (k % 3)))
+    images[0, :, 2:4, 5:8] = images[1, :, :2, 1:3] = np.nan
+    left, right = map(_tensor, images)
+    per_pair = _layers(rng, (wide, 2 * channels, 3, 3), (wide, wide, 3, 3), (wide, wide, 3, 3))
+    return left, right, _per_camera(rng, channels, 2), per_pair, 4 + 2 * (k % 2)
 
 
-check_region_table = Open(region_table, _some_frames, whole=("indices", "truths")).with_slips("""
-    *pooled(sums) → *np.mean([pooled(one[None]) for one in sums], axis=0)
-    # that is the mean over the frames: a frame with few rays of a region counts too much. Pool the
-    # sums
-    np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
-    # a ray without an estimate is an error of 100; it is not left out
-    inside = np.isfinite(truth) → inside = np.isfinite(truth) & (truth > 0 if region is None else True)
-    # "all rays" holds the sky, too
-    depth_regions(truth, N) == region → depth_regions(index, N) == region
-    # the truth decides which region a ray is in, the same for every method
-    table[:, 0] *= 100 / table[0, 0] → table[:, 0] *= 100 / truths.size
-    # rays whose truth is unknown are in no region: the share is of those in the first row
+check_pair_features = Open(pair_features, _two_images).with_slips("""
+    mode="circular" → mode="constant"
+    # zeros beyond the seam are not what is there: mode='circular'
+    mode="circular" → mode="replicate"  # the panorama is a circle: mode='circular'
+    x[..., halo : x.shape[-1] - halo] → x
+    # cut the repeated columns off again: `halo` on both sides
+    left, right =
+    → both = 0 * (left + right); left, right = left + both, right + both; left, right =
+    # each image keeps what it sees: only its own NaN become 0
 """)
 
 
-def interval(values, draws):
-    """Ends (2, …) of the middle 95 % of the mean of values (frames, …) over draws (draws, frames)
-    of frame numbers."""
-    means = values[draws].mean(axis=1)
-    return np.percentile(means, [2.5, 97.5], axis=0)
+def draw_labels(true_index, n, luck, most, per_positive, least):
+    """Labels (H, W) of sphere n: 0 on positives, 1 on negatives, NaN on rays that are not asked."""
+    positives = np.flatnonzero(np.rint(true_index) == n)
+    # an unknown index, NaN, is neither
+    negatives = np.flatnonzero(np.abs(np.rint(true_index) - n) >= 1)
+    positives = positives[luck.flat[positives].argsort()[:most]]
+    count = max(per_positive * len(positives), least)
+    negatives = negatives[luck.flat[negatives].argsort()[:count]]
+    labels = np.full(true_index.shape, np.nan)
+    labels.flat[positives] = 0
+    labels.flat[negatives] = 1
+    return labels
 
 
-def _some_draws(rng: Rng, k: int) -> tuple:
-    frames = int(rng.integers(8, 14))
-    values = rng.uniform(5, 25, (frames, 5) if k % 2 else frames)
-    return values, rng.integers(0, frames, (40 + 3 * k, frames))
+def _a_sphere(rng: Rng, k: int) -> tuple:
+    n = int(rng.integers(2, 9))
+    true_index = n + rng.uniform(-3, 3, (8, 10 + k % 3))
+    true_index[:2] = n + rng.uniform(-0.49, 0.49, true_index[:2].shape)
+    true_index[rng.uniform(0, 1, true_index.shape) < 0.2] = np.nan
+    if k == 4:
+        true_index = np.where(np.rint(true_index) == n, np.nan, true_index)  # no positive at all
+    return (
+        true_index,
+        n,
+        rng.uniform(0, 1, true_index.shape),
+        (4, 8, 50)[k % 3],
+        (1, 2)[k % 2],
+        (0, 12, 25)[k // 2 % 3],
+    )
 
 
-check_interval = Open(interval, _some_draws, whole=("values",)).with_slips("""
-    return np.percentile(values, [2.5, 97.5], axis=0)
-    # those are percentiles of the frames, not of their mean: draw first
-    [2.5, 97.5] → [5, 95]  # that holds 90 % of the means; for 95 % leave out 2.5 % on either side
-    [2.5, 97.5] → [0.025, 0.975]  # np.percentile takes percent: 2.5, not 0.025
-    mean(axis=1) → mean(axis=0)  # a row of `draws` holds the frames of one draw: mean over axis 1
+check_draw_labels = Open(
+    draw_labels, _a_sphere, keywords=("most", "per_positive", "least")
+).with_slips("""
+    max(per_positive * len(positives), least) → per_positive * len(positives)
+    # at least `least` negatives: a sphere without positives has them, too
+    max(per_positive * len(positives) → max(per_positive * np.sum(np.rint(true_index) == n)
+    # count the positives that were drawn, not all of them
+    max(per_positive * len(positives), least) → per_positive * len(positives) + least
+    # the larger of the two numbers, not their sum
+    [:most] →  # at most `most` positives
 """)
 
 
-def verdict(ours, paper):
-    """Verdicts (…) on ratios to ZNCC, ours and the paper's: 2 within 20 %, else 1 on the same side
-    of 1, else 0."""
-    near = np.abs(ours / paper - 1) <= 0.2
-    same_side = (ours < 1) == (paper < 1)
-    return np.where(near, 2, np.where(same_side, 1, 0))
+def balanced_loss(score, label):
+    """Eq. 4 of scores (K,) before the sigmoid; all positives (label 0) weigh one half, and so do
+    all negatives."""
+    positive, negative = label == 0, label == 1
+    loss = nn.functional.softplus(torch.where(positive, score, -score))
+    weight = torch.where(positive, 0.5 / positive.sum(), 0.5 / negative.sum())
+    return (weight * loss).sum()
 
 
-def _some_ratios(rng: Rng, k: int) -> tuple:
-    paper = rng.uniform(0.3, 1.6, (4, 6))
-    ours = paper * rng.uniform(0.5, 1.6, (4, 6))
-    ours[0], paper[0] = [0.95, 0.6, 1.3, 0.45, 0.2, 0.5], [1.05, 0.9, 1.55, 0.54, 0.3, 0.3]
-    ours[1, :2], paper[1, :2] = [1.4, 0.7], [0.8, 1.3]
-    return ours, paper
+def _scores(rng: Rng, k: int) -> tuple:
+    label = np.repeat([0.0, 1.0], [0 if k == 4 else 4, 11 + k])
+    rng.shuffle(label)
+    score = rng.normal(0, 2, len(label))
+    score[label == 1] += 1
+    if k == 6:
+        score[label == 0] = 30 + np.arange(4)  # the sigmoid of these is 1 in single precision
+    return _tensor(score).requires_grad_(), _tensor(label)
 
 
-check_verdict = Open(verdict, _some_ratios).with_slips("""
-    np.abs(ours / paper - 1) → np.abs(ours - paper)  # 20 % of the paper's ratio, not 0.2
-    np.abs(ours / paper - 1) → (ours / paper - 1)  # too small is as far off as too large: np.abs
-    == (paper < 1) → & (paper < 1)  # both above 1 is the same side, too
-    np.where(near, 2 → np.where(near & same_side, 2  # within 20 % is 2, on whichever side of 1
-    np.where(same_side, 1, 0) → 0  # on the same side of 1 is a trend, 1
+check_balanced_loss = Open(balanced_loss, _scores).with_slips("""
+    (weight * loss).sum() → loss.mean()
+    # there are more negatives: each kind weighs one half in all
+    (weight * loss).sum() → (loss[positive].mean() + loss[negative].mean()) / 2
+    # the mean of no rays is NaN: a batch without positives has one kind only, which weighs one half
+    nn.functional.softplus(torch.where(positive, score, -score))
+    → -torch.log(torch.where(positive, 1 - torch.sigmoid(score), torch.sigmoid(score)))
+    # where the sigmoid rounds to 1, log(1 - sigmoid) is infinite: softplus(score) is the same,
+    # exactly
+    torch.where(positive, score, -score) → torch.where(positive, score.sigmoid(), -score.sigmoid())
+    # softplus takes the score, not its sigmoid
 """)

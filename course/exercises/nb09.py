@@ -1,214 +1,141 @@
-"""Notebook 09: four clocks, how well images match, whose pairs are bad, shifts, and spheres.
+"""Notebook 09: the receptive field, the window with most of the influence, covers, the prior."""
 
-And `envelopes`, the faults that the notebook asks for.
-"""
-
-from itertools import pairwise
-
-import cv2
 import numpy as np
+import torch
 
-import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
-from omnistereo_rigs.doctor import rig_check
+
+Sizes = list[tuple[int, float]]
 
 
-def clock_offset(times_a, times_b):
-    """Seconds by which clock b is ahead of clock a: the difference of two pictures' times on which
-    most pairs agree."""
-    differences = (times_b[:, None] - times_a).ravel()
-    agree = np.abs(differences - differences[:, None]) < 0.5  # s
-    return differences[np.argmax(agree.sum(axis=1))]
-
-
-def _two_cards(rng: Rng, k: int) -> tuple:
-    moments = np.cumsum(rng.uniform(5, 30, 20 + k))
-    seen = rng.uniform(0, 1, (2, len(moments))) < 0.5
-    seen[:, 3:8] = True
-    seen[0, 0], seen[1, 0] = k % 2, 1 - k % 2  # the first pictures do not belong together
-    jitter = rng.uniform(-0.1, 0.1, seen.shape)  # a card notes when it wrote the picture
-    times = moments + jitter
-    return times[0, seen[0]], times[1, seen[1]] + rng.uniform(-300, 300)
-
-
-check_clock_offset = Open(clock_offset, _two_cards, within=0.5).with_slips("""
-    return times_b[0] - times_a[0]
-    # the first pictures need not be of one moment: take the difference that most pairs have
-    return times_b.mean() - times_a.mean()
-    # each camera has pictures of its own: the means need not belong together
-    return np.median(times_b[:, None] - times_a)
-    # most pairs are of two moments: take the most frequent difference
-""")
-
-
-def moments(times):
-    """Numbers (total,) of the moments of all pictures, card after card: from 1, in the order of time.
-    times: of each card, (K,), seconds by its own clock; more than 2 s later is another moment."""
-    ahead = [0.0]  # of the clock of the first card
-    for earlier, later in pairwise(times):
-        ahead.append(ahead[-1] + clock_offset(earlier, later))
-    seconds = np.concatenate([card - offset for card, offset in zip(times, ahead, strict=True)])
-    numbers = np.zeros(len(seconds), int)
-    number, before = 0, -np.inf
-    for k in np.argsort(seconds):
-        if seconds[k] - before > 2:
-            number += 1
-        numbers[k] = number
-        before = seconds[k]
-    return numbers
-
-
-def _some_cards(rng: Rng, k: int) -> tuple:
-    taken = np.cumsum(rng.uniform(6, 30, 20 + k))
-    seen = rng.uniform(0, 1, (3 + k % 2, len(taken))) < 0.5
-    seen[:, 3:9] = True
-    times = taken + rng.uniform(-0.1, 0.1, seen.shape)
-    return ([row[of] + rng.uniform(-300, 300) for row, of in zip(times, seen, strict=True)],)
-
-
-check_moments = Open(moments, _some_cards, whole=("times",)).with_slips("""
-    ahead[-1] + clock_offset(earlier, later) → clock_offset(earlier, later)
-    # that is how far a clock is ahead of the one before: add up the offsets
-    card - offset → card + offset  # a clock that is ahead shows too much: subtract its offset
-    card - offset → card  # the clocks are wrong: subtract from each card how far its clock is ahead
-    number, before = 0, -np.inf → number, before = -1, -np.inf  # the first moment has the number 1
-    in np.argsort(seconds) → in range(len(seconds))
-    # in the order of time the pictures of all cards mix: np.argsort
-""")
-
-
-def matching_cost(volume):
-    """Median over the rays of the lowest cost on any sphere, of costs (H, W, N); NaN where no pair
-    sees a ray."""
-    lowest = np.where(np.isnan(volume), np.inf, volume).min(axis=-1)
-    return np.median(lowest[np.isfinite(lowest)])
-
-
-def _a_volume(rng: Rng, k: int) -> tuple:
-    volume = rng.uniform(0, 1, (4 + k % 3, 7, 6))
-    volume[rng.uniform(0, 1, volume.shape) < 0.2] = np.nan
-    volume[0], volume[1, :2] = np.nan, np.nan  # rays that no pair sees
-    volume[2, 0] = rng.uniform(3, 4, 6)  # one bad ray
-    return (volume.astype(np.float32) if k % 2 else volume,)
-
-
-check_matching_cost = Open(matching_cost, _a_volume).with_slips("""
-    np.where(np.isnan(volume), np.inf, volume) → np.where(np.isnan(volume), 1, volume)
-    # NaN is no evidence, and no cost of 1: leave those rays out
-    return np.nanmedian(volume)  # first the best sphere of each ray, then the median of the rays
-    np.median( → np.mean(  # the median: a few bad rays must not count for many
-""")
-
-
-def suspect(costs, usual, pairs):
-    """Number of the camera whose pairs have all become worse: costs (pairs,), and those of a good
-    day."""
-    ratio = np.asarray(costs) / usual
-    cameras = sorted({camera for pair in pairs for camera in pair})
-    least = [min(ratio[k] for k, pair in enumerate(pairs) if camera in pair) for camera in cameras]
-    return cameras[np.argmax(least)]
-
-
-def _a_ring(rng: Rng, k: int) -> tuple:
-    cameras = 4 + k % 3
-    pairs = [*pairwise(range(cameras)), (cameras - 1, 0)]
-    usual = rng.uniform(0.005, 0.01, cameras)
-    bad, other = k % cameras, (k + 2) % cameras  # they share no pair
-    usual[[bad in pair for pair in pairs]] *= (1, 0.5)[k % 2]
-    usual[[other in pair for pair in pairs]] *= (40, 8)[k % 2]  # pairs that have never been good
-    costs = usual * np.where([bad in pair for pair in pairs], rng.uniform(3, 6, cameras), 1.1)
-    if cameras > 4:
-        costs[(bad + 2) % cameras] *= 50  # one pair of others is off by far
-    return costs, usual, pairs
-
-
-check_suspect = Open(suspect, _a_ring).with_slips("""
-    sorted({camera for pair in pairs for camera in pair}) → range(4)
-    # not every rig has four cameras: take them from the pairs
-    np.asarray(costs) / usual → np.asarray(costs)
-    # some pairs cost more even on a good day: compare each with its own usual cost
-    np.asarray(costs) / usual → np.asarray(costs) - usual
-    # a dear pair rises by more without being worse: now over usual, a ratio
-    min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
-    → max(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
-    # one bad pair accuses two cameras, by its maximum, its mean and its product: *all* pairs of the
-    # culprit are bad
-""")
-
-
-def shift_between(first, second):
-    """Columns and rows, (2,), by which the second picture (H, W) shows the same further right and
-    down."""
-    H, W = first.shape
-    fade = np.outer(np.hanning(H), np.hanning(W))  # the edges of a picture match nothing
-    a, b = (np.fft.fft2(fade * (picture - picture.mean())) for picture in (first, second))
-    cross = np.conj(a) * b
-    peak = np.fft.ifft2(cross / np.maximum(np.abs(cross), 1e-12)).real
-    row, column = np.unravel_index(np.argmax(peak), peak.shape)
-    # beyond half way: to the left, up
-    return np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2])
-
-
-def _two_pictures(rng: Rng, k: int) -> tuple:
-    H, W = 40 + 2 * k, 50 + 3 * (k % 4)
-    picture = cv2.GaussianBlur(rng.uniform(0, 120, (H + 30, W + 30)), (0, 0), 1)
-    column, row = [(4, -3), (-5, 0), (3, 6), (-2, -4)][k % 4]
-    both = (
-        picture[15 : 15 + H, 15 : 15 + W],
-        picture[15 - row : 15 - row + H, 15 - column : 15 - column + W],
+def receptive_field(layers):
+    """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride
+    1/2 doubles."""
+    # what one value sees, and how far apart neighbouring values are, both in pixels of the input
+    side, pixel = (
+        1,
+        1.0,
     )
-    lamp = 6 * np.hypot(*np.indices((H, W)))  # from one side, and it does not move
-    first, second = (one + lamp + rng.normal(0, 1, (H, W)) for one in both)
-    return first, second
+    for kernel, stride in layers:
+        # the kernel of a layer that doubles lies on its output
+        side += (kernel - 1) * pixel * min(stride, 1)
+        pixel *= stride
+    return side
 
 
-check_shift_between = Open(shift_between, _two_pictures, within=0.5).with_slips("""
-    np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2])
-    → np.array([column, row])
-    # the spectrum goes around: a place beyond half way is a shift to the left, or up
-    cross / np.maximum(np.abs(cross), 1e-12) → cross
-    # divide by the absolute value, so that each frequency counts alike: else what is broad and
-    # bright decides
-    return np.zeros(2)  # 0 in all: a picture's own mean, or its edge, matches best. Subtract it
+def _some_layers(rng: Rng, k: int) -> tuple:
+    drawn = rng.choice([3, 5, 7], 2 + k % 3), rng.choice([1, 2, 3], 2 + k % 3)
+    middle = [(int(kernel), int(stride)) for kernel, stride in zip(*drawn, strict=True)]
+    if k == 9:
+        return ([],)
+    return ([(5, 2), (3, 1), *middle, (3, 2), (3, 1), (3, 0.5), (5, 1)],)
+
+
+check_receptive_field = Open(receptive_field, _some_layers).with_slips("""
+    * pixel * min(stride, 1) →
+    # behind a stride of 2 a value is two pixels from the next: multiply by all the strides before
+    min(stride, 1) → stride  # a layer's own stride counts for the layers behind it
+    * min(stride, 1) →  # the kernel of a layer that doubles lies on its finer output
+    pixel *= stride → pixel *= max(stride, 1)
+    # a stride of 1/2 halves the distance between values again
+    pixel *= stride → pixel = stride  # strides multiply up: the product of all that came before
 """)
 
 
-def spheres_needed(baseline, nearest, width, pixels):
-    """Fewest spheres with which a match moves by at most so many panorama pixels from one to the
-    next; an integer."""
-    parallax = baseline / nearest * width / (2 * np.pi)  # px, from infinity to the nearest sphere
-    return int(np.ceil(parallax / pixels)) + 1  # one more than there are steps
+def side_with_share(influence, share):
+    """Side of the smallest square around the middle of a map (2 R + 1, 2 R + 1) that holds a share
+    of its sum."""
+    rows, columns = np.indices(influence.shape) - len(influence) // 2
+    ring = np.maximum(np.abs(rows), np.abs(columns))
+    held = np.bincount(ring.ravel(), weights=influence.ravel()).cumsum()
+    return 2 * np.argmax(held >= share * held[-1]) + 1
 
 
-def _a_plan(rng: Rng, k: int) -> tuple:
-    return (
-        rng.uniform(0.1, 0.9),
-        rng.uniform(0.4, 2),
-        int(rng.integers(300, 1300)),
-        rng.uniform(0.2, 0.9),
-    )
+def _a_map(rng: Rng, k: int) -> tuple:
+    radius = 6 + k % 4
+    rows, columns = np.indices((2 * radius + 1,) * 2) - radius
+    distance = np.hypot(rows / (1 + 0.5 * (k % 2)), columns)
+    influence = rng.uniform(0.5, 1.5, distance.shape) * np.exp(-distance / (1.5 + 0.5 * (k % 3)))
+    return influence * rng.uniform(0.5, 3), float(rng.uniform(0.5, 0.95))
 
 
-check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
-    np.ceil( → round(  # rounded, a step may be too long: np.ceil
-    np.ceil(parallax / pixels)) + 1 → np.ceil(parallax / pixels))
-    # one is missing: there is one sphere more than there are steps, and the steps are rounded up
-    (2 * np.pi) → np.pi  # W pixels are the full circle, 2π, not π
-    (2 * np.pi) → 360  # b / D is in radians: 2π of them for W pixels
+check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with_slips("""
+    return 2 * np.argmax(held >= share * held[-1]) + 1 → return np.argmax(held >= share * held[-1])
+    # that is the distance to the side: a square around a pixel has 2 r + 1 of them
+    np.maximum(np.abs(rows), np.abs(columns)) → np.hypot(rows, columns).astype(int)
+    # that is a disc: a square is all within max(|row|, |column|)
+    np.maximum(np.abs(rows), np.abs(columns)) → np.abs(rows) + np.abs(columns)
+    # that is a square on its tip: max(|row|, |column|), no sum
+    share * held[-1] → share  # a share of the map's sum, which need not be 1
 """)
 
 
-# --- What is in the envelopes
+def ask_covered(ask, images, places, cameras, half):
+    """Answers (P, …) of ask(images), for each of the places (P, 2), row and column, with a square of
+    2 half + 1 pixels a side around it gray, 0, in some of the cameras.
+
+    images: (cameras, B, H, W); columns go around, NaN stays NaN."""
+    H, W = images.shape[-2:]
+    answers = []
+    for row, column in places:
+        rows = np.arange(max(row - half, 0), min(row + half + 1, H))
+        columns = np.arange(column - half, column + half + 1) % W
+        covered = images.clone()
+        for camera in cameras:
+            covered[camera][:, rows[:, None], columns] *= 0
+        answers.append(ask(covered))
+    return torch.stack(answers)
 
 
-def envelopes(rig: osl.Rig, images: list, later: list) -> dict[str, tuple[osl.Rig, list]]:
-    """Return five rigs with their images, each spoiled in one way; `later` are the images of
-    another moment."""
-    return {
-        "A": (rig_check.invert_poses(rig), images),
-        "B": (rig_check.rotate_camera(rig, 2, [0, 0, np.radians(5)]), images),
-        "C": (rig, [images[1], images[0], *images[2:]]),
-        "D": (rig, [*images[:3], later[3]]),
-        "E": (rig, [*images[1:], images[0]]),
-    }
+def _as_they_are(images: torch.Tensor) -> torch.Tensor:
+    return images.nan_to_num(nan=-9)
+
+
+def _some_places(rng: Rng, k: int) -> tuple:
+    images = torch.from_numpy(rng.uniform(0.5, 1, (4, 2, 7, 12 + k % 3)))
+    images[1, :, :, 3:5] = torch.nan
+    places = np.stack([rng.integers(0, 7, 4), rng.integers(0, 12, 4)], axis=1)
+    # at the seam, and on the first and the last row
+    places[:3] = (3, 0), (0, 11), (6, 4)
+    return _as_they_are, images, places, ([1], [0, 1], [2], [])[k % 4], 1 + k % 2
+
+
+check_ask_covered = Open(ask_covered, _some_places, whole=("images", "places")).with_slips("""
+    images.clone() → images  # each place needs images of its own, without the squares before
+    column + half + 1) % W → column + half + 1).clip(0, W - 1)
+    # the panorama goes around: columns modulo its width
+    *= 0 → = 0  # what a camera does not see stays NaN: multiply by 0
+    max(row - half, 0) → row - half  # rows do not go around: a negative one counts from the end
+    for camera in cameras: → for camera in range(len(images)):
+    # only in the cameras that are asked for
+""")
+
+
+def with_prior(cost, share, strength):
+    """Costs (…, N) of a balanced network, given the share (N,) of rays whose true sphere is n;
+    strength 1 is Bayes."""
+    # eps: a cost of exactly 0 or 1 would be sure whatever the prior
+    score = torch.logit(cost, eps=1e-4)
+    return torch.sigmoid(score - strength * torch.log(share / (1 - share)))
+
+
+def _costs_and_share(rng: Rng, k: int) -> tuple:
+    cost = rng.uniform(0.02, 0.98, (3, 4 + k % 2, 6 + k % 4))
+    cost[0, 0, 1], cost[1, 1, 2] = 0, 1
+    cost[2, 0] = np.nan
+    share = rng.uniform(0.02, 0.3, (cost.shape[-1],))
+    return torch.from_numpy(cost), torch.from_numpy(share / share.sum()), float(rng.uniform(0.3, 1))
+
+
+check_with_prior = Open(with_prior, _costs_and_share).with_slips("""
+    torch.log(share / (1 - share)) → torch.log(share)  # odds are share / (1 - share)
+    torch.log(share / (1 - share)) → share / (1 - share)  # the logarithm of the odds is missing
+    , eps=1e-4 →  # no cost is quite sure: logit(cost, eps=1e-4)
+    torch.sigmoid(score - strength * torch.log(share / (1 - share)))
+    → cost - strength * torch.log(share / (1 - share))
+    # odds add to scores, not to costs: logit first, sigmoid last
+    score - strength * torch.log(share / (1 - share))
+    → strength * (score - torch.log(share / (1 - share)))
+    # the strength is that of the prior, not of the score
+""")

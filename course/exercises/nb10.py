@@ -1,5 +1,5 @@
-"""Notebook 10: a ray caster (a box, a checker, light and shadow), depth along a ray from z, solid
-angles of pixels."""
+"""Notebook 10: a row of Table II, regions by depth, errors of all frames, a table by region, an
+interval, a verdict."""
 
 import numpy as np
 
@@ -8,198 +8,181 @@ from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
 
-def hit_box(origins, rays, low, high):
-    """Distances (…) along rays (…, 3) from points (…, 3) or (3,) to a box between two corners (3,);
-    inf for a miss."""
-    with np.errstate(divide="ignore"):  # a ray along a face never meets its plane
-        to_low, to_high = (low - origins) / rays, (high - origins) / rays
-    # inside once it is between all three pairs of planes
-    enters = np.minimum(to_low, to_high).max(axis=-1)
-    leaves = np.maximum(to_low, to_high).min(axis=-1)  # outside once it has left one of them
-    ahead = np.where(enters > 0, enters, leaves)  # from inside, only the way out lies ahead
-    return np.where((enters <= leaves) & (leaves > 0), ahead, np.inf)
+def metrics(index, gt_index, N):
+    """Five metrics: >1, >3, >5 in percent of the rays, MAE and RMS; an error of 100 without an
+    estimate."""
+    known = np.isfinite(gt_index)
+    e = 100 / N * np.abs(index - gt_index)[known]
+    e = np.where(np.isnan(e), 100, e)
+    above = [100 * np.mean(e > limit) for limit in (1, 3, 5)]
+    return np.array([*above, e.mean(), np.sqrt(np.mean(e**2))])
 
 
-def _rays_and_box(rng: Rng, k: int) -> tuple:
-    low = rng.uniform(-2, -0.5, 3)
-    high = low + rng.uniform(1, 3, 3)
-    middle, half = (low + high) / 2, (high - low) / 2
-    inside = middle + 0.8 * half * rng.uniform(-1, 1, 3)
-    outside = middle + half * rng.choice([-1, 1], 3) * rng.uniform(1.5, 3, (12 + k % 3, 3))
-    outside[:4, 0] = inside[0]  # beside a face
-    towards = middle + half * rng.uniform(-1.5, 1.5, outside.shape) - outside
-    towards[6:8] *= -1  # the box lies behind
-    towards[8, 1] = 0  # along a face
-    rays = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
-    origins = inside if k % 3 == 0 else np.concatenate([outside[:-1], [inside]])
-    return origins, {5: rays[0], 6: rays[:, None]}.get(k, rays), low, high
+def _two_maps(rng: Rng, k: int) -> tuple:
+    # in 100 spheres some errors are exactly 1, 3 and 5
+    N = 100 if k % 3 == 1 else int(rng.integers(8, 30)) * 4
+    gt_index = rng.uniform(0, N - 1, (4, 9 + k % 4))
+    index = gt_index + rng.normal(0.005 * N, 0.035 * N, gt_index.shape)
+    gt_index[1, :3], index[1, :3] = N / 2, N / 2 + np.array([1, 3, 5]) * N / 100
+    gt_index[0, :2] = index[0, 1:3] = index[2, :2] = np.nan
+    index = index.astype(np.float32 if k % 2 else np.float64)
+    return np.round(index * 1024) / 1024, np.round(gt_index * 1024) / 1024, N
 
 
-check_hit_box = Open(hit_box, _rays_and_box).with_slips("""
-    np.minimum(to_low, to_high) → to_low
-    np.maximum(to_low, to_high) → to_high
-    # a ray that runs backwards along an axis meets `high` first: sort each pair of planes
-    to_high).max(axis=-1) → to_high).min(axis=-1)
-    # it is inside after the last of three entries: max
-    np.maximum(to_low, to_high).min → np.maximum(to_low, to_high).max
-    # it is outside after the first of three exits: min
-    & (leaves > 0) →  # a box behind the origin is not seen: it must leave ahead, at more than 0
-    np.where(enters > 0, enters, leaves) → enters
-    # from inside, the entry lies behind: take the exit
+check_metrics = Open(metrics, _two_maps).with_slips("""
+    np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
+    # a ray without an estimate is an error of 100; it is not left out
+    np.where(np.isnan(e), 100, e) → np.nan_to_num(e)
+    # a ray without an estimate is an error of 100, not of 0
+    [known] →  # a ray without ground truth is left out; it is no error of 100
+    100 / N * →  # errors in percent of the N spheres: times 100 / N
+    e > limit → e >= limit  # an error of exactly the limit is not above it
 """)
 
 
-def checker(points, size):
-    """Gray values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours
-    of different gray."""
-    number = np.floor(points / size).sum(axis=-1)  # floor also rounds down below 0
-    return np.where(number % 2 == 0, 0.8, 0.2)  # the cube at the origin is bright
+def depth_regions(gt_index, N):
+    """Region (H, W) of each ray: 0 sky, then the thirds of the inverse depth: 1 far, 2 middle, 3
+    near; NaN unknown."""
+    fraction = gt_index / (N - 1)  # of the inverse depth of the nearest sphere
+    region = np.sum([fraction > 0, fraction >= 1 / 3, fraction >= 2 / 3], axis=0)
+    return np.where(np.isnan(gt_index), np.nan, region)
 
 
-def _some_points(rng: Rng, k: int) -> tuple:
-    return rng.uniform(-4, 4, (40, 3) if k % 2 else (8, 5, 3)), rng.uniform(0.3, 0.9)
+def _a_truth(rng: Rng, k: int) -> tuple:
+    N = 1 + 3 * int(rng.integers(10, 60))  # thirds are whole spheres
+    gt_index = rng.uniform(0, N - 1, (4, 6 + k % 4))
+    gt_index[0, :3], gt_index[1, :3] = 0, np.nan
+    gt_index[2, :4] = (N - 1) // 3, 2 * (N - 1) // 3, N - 1, 0.2
+    return gt_index, N
 
 
-check_checker = Open(checker, _some_points).with_slips("""
-    np.floor(points / size) → (points / size).astype(int)
-    # int rounds towards 0, so two cubes meet there: floor
-    np.floor( → np.rint(  # the cubes begin at 0: floor, not round
-    np.floor(points / size).sum(axis=-1) → np.floor((points / size).sum(axis=-1))
-    # floor each coordinate first, then add
-    np.floor(points / size) → np.floor(points / size)[..., [0, 2]]  # all three coordinates count
+check_depth_regions = Open(depth_regions, _a_truth, real=beside.truth).with_slips("""
+    gt_index / (N - 1) → 1 - gt_index / (N - 1)
+    # sphere 0 is at infinity, sphere N - 1 the nearest: it runs the other way
+    fraction > 0 → fraction >= 0  # the sky, at index 0, is a region of its own
+    fraction > 0 → gt_index >= 1  # only index 0 is the sky: a far house is none
+    fraction >= → fraction >  # exactly a third belongs to the nearer region: >=
 """)
 
 
-def look(origin, rays, boxes, to_sun, paint):
-    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light, 0.4 from the
-    sky and up to 0.8 from the sun; 0.9 where a ray meets none of the boxes (n, 2, 3)."""
-    distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
-    distance, number = distances.min(axis=0), distances.argmin(axis=0)
-    hit = np.isfinite(distance)
-    points = origin + distance[hit][:, None] * rays[hit]
-    # the face is that of the axis along which the point is farthest out
-    middle, half = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
-    out = (points - middle[number[hit]]) / half[number[hit]]
-    normals = np.sign(out) * (np.arange(3) == np.abs(out).argmax(axis=-1)[..., None])
-    # Lambert's cosine, where no box is in the way to the sun; a face must not shade itself
-    slope = np.maximum(normals @ to_sun, 0)
-    above = points + 1e-6 * normals
-    free = np.isinf(np.min([hit_box(above, to_sun, *box) for box in boxes], axis=0))
-    gray = np.full(distance.shape, 0.9)
-    gray[hit] = paint(points) * (0.4 + 0.8 * slope * free)
-    return gray
+def pooled(sums):
+    """Metrics (5,) of all rays together, from each frame's sums (frames, 6): rays, rays >1, >3, >5,
+    Σ e, Σ e²."""
+    rays, *above, total, squares = sums.sum(axis=0)
+    return np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
 
 
-def _two_checkers(points):
-    return (checker(points, 0.7) + checker(points + 0.1, 0.31)) / 2
-
-
-def _a_view(rng: Rng, k: int) -> tuple:
-    low = rng.uniform([-4, -3, -4], [3, 1, 3], (5, 3))
-    low[np.all(np.abs(low) < 1.2, axis=1)] -= 3  # nobody stands in a box
-    boxes = np.stack([low, low + rng.uniform(0.4, 1.0, low.shape)], axis=1)
-    boxes[0] = (-9, 2.5, -9), (9, 3, 9)  # the ground, y is down
-    to_sun = np.array([0.48, -0.64, -0.6])
-    middle = boxes.mean(axis=1)
-    shadow = middle + to_sun * ((2.5 - middle[:, 1:2]) / to_sun[1])
-    rays = rng.normal(0, 1, (5, 8 + k % 3, 3))
-    rays[0] = middle[np.arange(rays.shape[1]) % 5] + rng.normal(0, 0.1, rays[0].shape)
-    rays[1] = shadow[1 + np.arange(rays.shape[1]) % 4] + rng.normal(0, 0.1, rays[0].shape)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    return np.zeros(3), rays, boxes, to_sun, _two_checkers
-
-
-check_look = Open(look, _a_view, whole=("origin", "boxes", "to_sun")).with_slips("""
-    distance, number = distances.min(axis=0), distances.argmin(axis=0)
-    → distance, number = distances[0], np.zeros(distances.shape[1:], int)
-    # that is the first box: a ray shows the nearest of all that it meets
-    np.sign(out) * → 1.0 *
-    # a normal points out of its box: to the side on which the point is, np.sign
-    (points - middle[number[hit]]) / half[number[hit]] → points - middle[number[hit]]
-    # boxes are not cubes: divide by their half sizes before you ask which axis is farthest out
-    (0.4 + 0.8 * slope * free) → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
-    points + 1e-6 * normals → points
-    # a face may shade itself: start a millionth of a metre above it
-""")
-
-
-def distances_from_z(z, rays):
-    """Distances (…) along rays (…, 3) of any length, from depths z (…) along the axis, which is the
-    z of the rays."""
-    return z * np.linalg.norm(rays, axis=-1) / rays[..., 2]
-
-
-def _depths(rng: Rng, k: int) -> tuple:
-    rays = rng.uniform([-1.5, -1, 0.5], [1.5, 1, 2], (3, 4 + k % 3, 3))
-    rays = rays[0] if k % 2 else rays
-    return rng.uniform(2, 9, rays.shape[:-1]), rays
-
-
-check_distances_from_z = Open(distances_from_z, _depths).with_slips("""
-    return z / np.linalg.norm(rays, axis=-1) * rays[..., 2]
-    # the wrong way round: the ray is longer than its z
-    / rays[..., 2] →  # the rays do not end at z = 1: divide by their z
-    * np.linalg.norm(rays, axis=-1) →
-    # that many rays long it is: times the ray's length gives metres
-    norm(rays, axis=-1) → norm(rays)  # one length for each ray: axis=-1
-""")
-
-
-def solid_angles(width, height, phi_deg):
-    """Solid angles (height, width) in steradians of the pixels of a panorama with edges at
-    elevations phi_deg."""
-    low, high = np.radians(phi_deg)
-    edges = np.linspace(low, high, height + 1)  # of the rows
-    bands = 2 * np.pi * np.diff(np.sin(edges))  # the area of the unit sphere between two elevations
-    return np.tile(bands[:, None] / width, width)
-
-
-def _a_panorama(rng: Rng, k: int) -> tuple:
+def _some_sums(rng: Rng, k: int) -> tuple:
+    frames = 3 + k % 4
+    rays, means = rng.integers(200, 2500, frames), rng.uniform(1, 5, frames)
+    above = np.sort(rng.uniform(0, 0.6, (frames, 3)))[:, ::-1] * rays[:, None]
     return (
-        int(rng.integers(5, 12)),
-        int(rng.integers(3, 8)),
-        (float(rng.uniform(-85, -20)), float(rng.uniform(10, 70))),
+        np.column_stack(
+            [rays, np.rint(above), rays * means, rays * means**2 * rng.uniform(1.5, 3, frames)]
+        ),
     )
 
 
-check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
-    np.diff(np.sin(edges)) → np.diff(edges)
-    # a row near a pole is short: its area goes with cos φ, or with the difference of sin φ
-    np.diff(np.sin(edges)) → np.cos((edges[1:] + edges[:-1]) / 2)
-    # that is the cosine: the height of a row in radians is missing
-    np.sin( → np.cos(  # sin φ at the edges, not cos φ
-    / width, width → , width  # that is the area of whole rows: divide by the columns
+check_pooled = Open(pooled, _some_sums).with_slips("""
+    rays, *above, total, squares = sums.sum(axis=0) → rays, *above, total, squares = sums.T
+    np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
+    → np.mean([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)], axis=1)
+    # that is the mean over the frames: a frame with few rays counts too much
+    sums.sum(axis=0) → sums.T  # those are the metrics of each frame: add up over the frames first
+    np.sqrt(squares / rays) → np.mean(np.sqrt(sums[:, 5] / sums[:, 0]))
+    # a mean of roots is not the root of the mean: add up Σ e² first
+    np.sqrt(squares / rays) → np.sqrt(squares) / rays  # divide under the root
 """)
 
 
-def behind(center, points, inverse_depth, phi_deg, t):
-    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from
-    the rig to the depth of the surface in its direction, at the fractions t (steps,) of the way
-    from a camera (3,) to points (…, 3)."""
-    # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
-    H, W = inverse_depth.shape
-    places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
-    x, y, z = np.moveaxis(places, -1, 0)
-    theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))
-    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
-    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int).clip(0, H - 1)
-    return (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max(axis=0)
+def region_table(indices, truths, N):
+    """Rows (5, 6) of all rays, the sky, far, middle and near ones, over all frames: the share of
+    rays in percent, five metrics. indices, truths (frames, H, W)."""
+    table = []
+    for region in (None, 0, 1, 2, 3):
+        sums = []
+        for index, truth in zip(indices, truths, strict=True):
+            inside = np.isfinite(truth)
+            if region is not None:
+                inside &= depth_regions(truth, N) == region
+            e = 100 / N * np.abs(index - truth)[inside]
+            e = np.where(np.isnan(e), 100, e)
+            above = [np.sum(e > limit) for limit in (1, 3, 5)]
+            sums.append([e.size, *above, e.sum(), np.sum(e**2)])
+        sums = np.array(sums)
+        table.append([sums[:, 0].sum(), *pooled(sums)])
+    table = np.array(table)
+    table[:, 0] *= 100 / table[0, 0]
+    return table
 
 
-def _a_scene(rng: Rng, k: int) -> tuple:
-    H, W = 8 + k % 3, 20 + 2 * (k % 5)
-    points = rng.normal(0, 3, (3, 4 + k % 3, 3))
-    points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
-    points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama
-    t = np.sort(rng.uniform(0.1, 0.9, 6 + k % 2))
-    return rng.normal(0, 0.4, 3), points, rng.uniform(0.1, 0.8, (H, W)), (-40.0, 45.0 + k), t
+def _some_frames(rng: Rng, k: int) -> tuple:
+    N = 1 + 3 * int(rng.integers(10, 30))
+    truths = rng.uniform(0, N - 1, (3 + k % 2, 4, 12))
+    truths[:, 0, :5] = 0
+    truths[0, 1:, :] *= 0.1  # a frame with much that is far: the means of the frames would differ
+    indices = truths + rng.normal(0.005 * N, 0.03 * N, truths.shape)
+    truths[1, 2, :3] = indices[0, 0, :2] = indices[2, 3, 2] = np.nan
+    return indices, truths, N
 
 
-check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
-    norm(places, → norm(places - center,
-    # the distance from the rig, not from the camera: the panorama holds depths from the rig
-    (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
-    → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
-    # the place's distance over the depth of the surface, not the other way round
-    np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
+check_region_table = Open(region_table, _some_frames, whole=("indices", "truths")).with_slips("""
+    *pooled(sums) → *np.mean([pooled(one[None]) for one in sums], axis=0)
+    # that is the mean over the frames: a frame with few rays of a region counts too much. Pool the
+    # sums
+    np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
+    # a ray without an estimate is an error of 100; it is not left out
+    inside = np.isfinite(truth) → inside = np.isfinite(truth) & (truth > 0 if region is None else True)
+    # "all rays" holds the sky, too
+    depth_regions(truth, N) == region → depth_regions(index, N) == region
+    # the truth decides which region a ray is in, the same for every method
+    table[:, 0] *= 100 / table[0, 0] → table[:, 0] *= 100 / truths.size
+    # rays whose truth is unknown are in no region: the share is of those in the first row
+""")
+
+
+def interval(values, draws):
+    """Ends (2, …) of the middle 95 % of the mean of values (frames, …) over draws (draws, frames)
+    of frame numbers."""
+    means = values[draws].mean(axis=1)
+    return np.percentile(means, [2.5, 97.5], axis=0)
+
+
+def _some_draws(rng: Rng, k: int) -> tuple:
+    frames = int(rng.integers(8, 14))
+    values = rng.uniform(5, 25, (frames, 5) if k % 2 else frames)
+    return values, rng.integers(0, frames, (40 + 3 * k, frames))
+
+
+check_interval = Open(interval, _some_draws, whole=("values",)).with_slips("""
+    return np.percentile(values, [2.5, 97.5], axis=0)
+    # those are percentiles of the frames, not of their mean: draw first
+    [2.5, 97.5] → [5, 95]  # that holds 90 % of the means; for 95 % leave out 2.5 % on either side
+    [2.5, 97.5] → [0.025, 0.975]  # np.percentile takes percent: 2.5, not 0.025
+    mean(axis=1) → mean(axis=0)  # a row of `draws` holds the frames of one draw: mean over axis 1
+""")
+
+
+def verdict(ours, paper):
+    """Verdicts (…) on ratios to ZNCC, ours and the paper's: 2 within 20 %, else 1 on the same side
+    of 1, else 0."""
+    near = np.abs(ours / paper - 1) <= 0.2
+    same_side = (ours < 1) == (paper < 1)
+    return np.where(near, 2, np.where(same_side, 1, 0))
+
+
+def _some_ratios(rng: Rng, k: int) -> tuple:
+    paper = rng.uniform(0.3, 1.6, (4, 6))
+    ours = paper * rng.uniform(0.5, 1.6, (4, 6))
+    ours[0], paper[0] = [0.95, 0.6, 1.3, 0.45, 0.2, 0.5], [1.05, 0.9, 1.55, 0.54, 0.3, 0.3]
+    ours[1, :2], paper[1, :2] = [1.4, 0.7], [0.8, 1.3]
+    return ours, paper
+
+
+check_verdict = Open(verdict, _some_ratios).with_slips("""
+    np.abs(ours / paper - 1) → np.abs(ours - paper)  # 20 % of the paper's ratio, not 0.2
+    np.abs(ours / paper - 1) → (ours / paper - 1)  # too small is as far off as too large: np.abs
+    == (paper < 1) → & (paper < 1)  # both above 1 is the same side, too
+    np.where(near, 2 → np.where(near & same_side, 2  # within 20 % is 2, on whichever side of 1
+    np.where(same_side, 1, 0) → 0  # on the same side of 1 is a trend, 1
 """)

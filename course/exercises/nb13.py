@@ -1,155 +1,205 @@
-"""Notebook 13, the one page: the lens, the warp, the cost volume, and points from depth."""
+"""Notebook 13: a ray caster (a box, a checker, light and shadow), depth along a ray from z, solid
+angles of pixels."""
 
 import numpy as np
 
 from course.exercises import beside
-from course.exercises.compare import Array, Rng
-from course.exercises.nb03 import look_up
-from course.exercises.nb04 import mean_of_pairs
+from course.exercises.compare import Rng
 from course.exercises.opened import Open
-from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
 
 
-def project(camera, points):
-    """Pixels (…, 2) of points (…, 3) in the camera's frame; NaN where the camera does not see them."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    across = np.hypot(x, y)
-    t = np.arctan2(-z, across)  # the angle from the axis, less 90°
-    r = np.polyval(camera.inv_poly[::-1], t)  # pixels from the centre
-    x, y = r * x / across, r * y / across
-    c, d, e = camera.affine
-    u, v = x + e * y + camera.center[0], d * x + c * y + camera.center[1]
-    width, height = camera.image_size
-    inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
-    visible = inside & (t <= np.radians(camera.max_fov_deg / 2 - 90))
-    return np.where(visible[..., None], np.stack([u, v], axis=-1), np.nan)
+def hit_box(origins, rays, low, high):
+    """Distances (…) along rays (…, 3) from points (…, 3) or (3,) to a box between two corners (3,);
+    inf for a miss."""
+    with np.errstate(divide="ignore"):  # a ray along a face never meets its plane
+        to_low, to_high = (low - origins) / rays, (high - origins) / rays
+    # inside once it is between all three pairs of planes
+    enters = np.minimum(to_low, to_high).max(axis=-1)
+    leaves = np.maximum(to_low, to_high).min(axis=-1)  # outside once it has left one of them
+    ahead = np.where(enters > 0, enters, leaves)  # from inside, only the way out lies ahead
+    return np.where((enters <= leaves) & (leaves > 0), ahead, np.inf)
 
 
-def _camera() -> OcamCamera:
-    poly, inverse = np.array([-200.0, 0.0, 1e-3]), np.array([210.0, 160.0, 15.0, -9.0])
-    return OcamCamera(poly, inverse, (400.0, 380.0), (1.02, 0.01, -0.02), (800, 768), 200.0)
+def _rays_and_box(rng: Rng, k: int) -> tuple:
+    low = rng.uniform(-2, -0.5, 3)
+    high = low + rng.uniform(1, 3, 3)
+    middle, half = (low + high) / 2, (high - low) / 2
+    inside = middle + 0.8 * half * rng.uniform(-1, 1, 3)
+    outside = middle + half * rng.choice([-1, 1], 3) * rng.uniform(1.5, 3, (12 + k % 3, 3))
+    outside[:4, 0] = inside[0]  # beside a face
+    towards = middle + half * rng.uniform(-1.5, 1.5, outside.shape) - outside
+    towards[6:8] *= -1  # the box lies behind
+    towards[8, 1] = 0  # along a face
+    rays = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    origins = inside if k % 3 == 0 else np.concatenate([outside[:-1], [inside]])
+    return origins, {5: rays[0], 6: rays[:, None]}.get(k, rays), low, high
 
 
-def _in_camera(rng: Rng, k: int) -> tuple:
-    points = rng.normal(0, 1, (4, 5 + k % 3, 3))
-    points[0] *= [1, 1, 0.1]  # at the edge of the field of view, and of the image
-    return _camera(), points[k % 2] if k % 3 == 1 else points
-
-
-check_project = Open(project, _in_camera).with_slips("""
-    np.arctan2(-z, across) → np.arctan2(z, across)
-    # t is the angle below the xy-plane: arctan2(-z, …)
-    camera.inv_poly[::-1] → camera.inv_poly  # np.polyval wants the highest power first
-    x + e * y + camera.center[0], d * x + c * y → c * x + d * y + camera.center[0], e * x + y
-    # u goes with x and v with y: u = x + e y, v = d x + c y
-    camera.center[0], d * x + c * y + camera.center[1]
-    → camera.center[1], d * x + c * y + camera.center[0]
-    # the centre is (u, v): its parts are swapped
-    inside & (t <= np.radians(camera.max_fov_deg / 2 - 90)) → inside
-    # a point outside the field of view has no pixel: t is at most half of it, less 90°
+check_hit_box = Open(hit_box, _rays_and_box).with_slips("""
+    np.minimum(to_low, to_high) → to_low
+    np.maximum(to_low, to_high) → to_high
+    # a ray that runs backwards along an axis meets `high` first: sort each pair of planes
+    to_high).max(axis=-1) → to_high).min(axis=-1)
+    # it is inside after the last of three entries: max
+    np.maximum(to_low, to_high).min → np.maximum(to_low, to_high).max
+    # it is outside after the first of three exits: min
+    & (leaves > 0) →  # a box behind the origin is not seen: it must leave ahead, at more than 0
+    np.where(enters > 0, enters, leaves) → enters
+    # from inside, the entry lies behind: take the exit
 """)
 
 
-def warp(image, camera, pose, points):
-    """Gray values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not
-    see them (Eq. 1)."""
-    in_camera = (points - pose.t) @ pose.R  # the way back from p = R q + t, for points in rows
-    return look_up(image, project(camera, in_camera))
+def checker(points, size):
+    """Gray values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours
+    of different gray."""
+    number = np.floor(points / size).sum(axis=-1)  # floor also rounds down below 0
+    return np.where(number % 2 == 0, 0.8, 0.2)  # the cube at the origin is bright
+
+
+def _some_points(rng: Rng, k: int) -> tuple:
+    return rng.uniform(-4, 4, (40, 3) if k % 2 else (8, 5, 3)), rng.uniform(0.3, 0.9)
+
+
+check_checker = Open(checker, _some_points).with_slips("""
+    np.floor(points / size) → (points / size).astype(int)
+    # int rounds towards 0, so two cubes meet there: floor
+    np.floor( → np.rint(  # the cubes begin at 0: floor, not round
+    np.floor(points / size).sum(axis=-1) → np.floor((points / size).sum(axis=-1))
+    # floor each coordinate first, then add
+    np.floor(points / size) → np.floor(points / size)[..., [0, 2]]  # all three coordinates count
+""")
+
+
+def look(origin, rays, boxes, to_sun, paint):
+    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light, 0.4 from the
+    sky and up to 0.8 from the sun; 0.9 where a ray meets none of the boxes (n, 2, 3)."""
+    distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
+    distance, number = distances.min(axis=0), distances.argmin(axis=0)
+    hit = np.isfinite(distance)
+    points = origin + distance[hit][:, None] * rays[hit]
+    # the face is that of the axis along which the point is farthest out
+    middle, half = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
+    out = (points - middle[number[hit]]) / half[number[hit]]
+    normals = np.sign(out) * (np.arange(3) == np.abs(out).argmax(axis=-1)[..., None])
+    # Lambert's cosine, where no box is in the way to the sun; a face must not shade itself
+    slope = np.maximum(normals @ to_sun, 0)
+    above = points + 1e-6 * normals
+    free = np.isinf(np.min([hit_box(above, to_sun, *box) for box in boxes], axis=0))
+    gray = np.full(distance.shape, 0.9)
+    gray[hit] = paint(points) * (0.4 + 0.8 * slope * free)
+    return gray
+
+
+def _two_checkers(points):
+    return (checker(points, 0.7) + checker(points + 0.1, 0.31)) / 2
 
 
 def _a_view(rng: Rng, k: int) -> tuple:
-    pose = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
-    points = rng.uniform(0.8, 2.5, (3, 4 + k % 3, 3))
-    points[0] = pose @ (points[0] * [1, 1, -3])  # behind the camera
-    rows, columns = np.mgrid[:768, :800]
-    return 100 + 50 * np.sin(rows / 40) + 40 * np.cos(columns / 30), _camera(), pose, points
+    low = rng.uniform([-4, -3, -4], [3, 1, 3], (5, 3))
+    low[np.all(np.abs(low) < 1.2, axis=1)] -= 3  # nobody stands in a box
+    boxes = np.stack([low, low + rng.uniform(0.4, 1.0, low.shape)], axis=1)
+    boxes[0] = (-9, 2.5, -9), (9, 3, 9)  # the ground, y is down
+    to_sun = np.array([0.48, -0.64, -0.6])
+    middle = boxes.mean(axis=1)
+    shadow = middle + to_sun * ((2.5 - middle[:, 1:2]) / to_sun[1])
+    rays = rng.normal(0, 1, (5, 8 + k % 3, 3))
+    rays[0] = middle[np.arange(rays.shape[1]) % 5] + rng.normal(0, 0.1, rays[0].shape)
+    rays[1] = shadow[1 + np.arange(rays.shape[1]) % 4] + rng.normal(0, 0.1, rays[0].shape)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return np.zeros(3), rays, boxes, to_sun, _two_checkers
 
 
-check_warp = Open(warp, _a_view, whole=("image",), real=beside.view).with_slips("""
-    @ pose.R → @ pose.R.T  # the rotation is not undone: points in rows times R, not Rᵀ
-    (points - pose.t) @ pose.R → points @ pose.R - pose.t
-    # first subtract t, then rotate: (p - t) R
-    points - pose.t → points  # the translation is missing: (p - t) R
-    (points - pose.t) @ pose.R → points
-    # the points are in the rig frame: take them to the camera's first
+check_look = Open(look, _a_view, whole=("origin", "boxes", "to_sun")).with_slips("""
+    distance, number = distances.min(axis=0), distances.argmin(axis=0)
+    → distance, number = distances[0], np.zeros(distances.shape[1:], int)
+    # that is the first box: a ray shows the nearest of all that it meets
+    np.sign(out) * → 1.0 *
+    # a normal points out of its box: to the side on which the point is, np.sign
+    (points - middle[number[hit]]) / half[number[hit]] → points - middle[number[hit]]
+    # boxes are not cubes: divide by their half sizes before you ask which axis is farthest out
+    (0.4 + 0.8 * slope * free) → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
+    points + 1e-6 * normals → points
+    # a face may shade itself: start a millionth of a metre above it
 """)
 
 
-def cost_volume(images, cameras, poses, theta, phi, radii, pair_cost):
-    """Costs (H, W, N) of the rays of a panorama on the spheres around the middle of the cameras,
-    radii (N,) in metres: the mean over the ring of neighbouring cameras (Eq. 2).
-
-    theta (W,), phi (H,): angles of the columns and rows, radians. pair_cost: from two warped images
-    (H, W) to costs (H, W), NaN where not both see."""
-    theta, phi = np.meshgrid(theta, phi)
-    rays = [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)]
-    rays = np.stack(rays, axis=-1)
-    center = np.mean([pose.t for pose in poses], axis=0)
-    volume = []
-    for radius in radii:
-        warped = []
-        for image, camera, pose in zip(images, cameras, poses, strict=True):
-            warped.append(warp(image, camera, pose, center + radius * rays))
-        # the last camera and the first are neighbours, too
-        neighbours = [*warped[1:], warped[0]]
-        costs = [pair_cost(a, b) for a, b in zip(warped, neighbours, strict=True)]
-        volume.append(mean_of_pairs(np.stack(costs)))
-    return np.stack(volume, axis=-1)
+def distances_from_z(z, rays):
+    """Distances (…) along rays (…, 3) of any length, from depths z (…) along the axis, which is the
+    z of the rays."""
+    return z * np.linalg.norm(rays, axis=-1) / rays[..., 2]
 
 
-def _a_rig(rng: Rng, k: int) -> tuple:
-    rows, columns = np.mgrid[:768, :800]
-    count = 3 + k % 2
-    images = [np.sin(rows / rng.uniform(30, 60)) + np.cos(columns / 30 + i) for i in range(count)]
-    poses = [
-        Pose.from_vector([0, 2 * np.pi * i / count, 0, *rng.normal(0, 0.4, 3)])
-        for i in range(count)
-    ]
-    theta, phi = rng.uniform(-3, 3, 7 + k % 3), np.sort(rng.uniform(-0.7, 0.7, 4))
-    radii = rng.uniform(1.5, 6, 3)
-    return images, [_camera()] * count, poses, theta, phi, radii, _apart
+def _depths(rng: Rng, k: int) -> tuple:
+    rays = rng.uniform([-1.5, -1, 0.5], [1.5, 1, 2], (3, 4 + k % 3, 3))
+    rays = rays[0] if k % 2 else rays
+    return rng.uniform(2, 9, rays.shape[:-1]), rays
 
 
-def _apart(a: Array, b: Array) -> Array:
-    return abs(a - b) / 4
-
-
-check_cost_volume = Open(
-    cost_volume, _a_rig, whole=("images", "cameras", "poses", "theta", "phi")
-).with_slips("""
-    neighbours = [*warped[1:], warped[0]] → neighbours = warped[1:]; warped = warped[:-1]
-    # the ring closes: the last camera and the first are a pair
-    mean_of_pairs(np.stack(costs)) → np.mean(costs, axis=0)
-    # a pair that does not see the ray is NaN, and must not count: mean_of_pairs
-    mean_of_pairs(np.stack(costs)) → np.nansum(costs, axis=0)
-    # that is the sum over the pairs: take the mean
-    center + radius * rays → radius * rays
-    # the spheres are around the middle of the cameras: center + radius * rays
-    center + radius * rays → pose.t + radius * rays
-    # all cameras are warped onto the same sphere, around the middle of them
+check_distances_from_z = Open(distances_from_z, _depths).with_slips("""
+    return z / np.linalg.norm(rays, axis=-1) * rays[..., 2]
+    # the wrong way round: the ray is longer than its z
+    / rays[..., 2] →  # the rays do not end at z = 1: divide by their z
+    * np.linalg.norm(rays, axis=-1) →
+    # that many rays long it is: times the ray's length gives metres
+    norm(rays, axis=-1) → norm(rays)  # one length for each ray: axis=-1
 """)
 
 
-def points_of_depth(depth, theta, phi):
-    """Points (H, W, 3) in metres, rig frame, of a depth panorama (H, W); angles (W,) and (H,) in
-    radians."""
-    theta, phi = np.meshgrid(theta, phi)
-    rays = np.stack(
-        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1
+def solid_angles(width, height, phi_deg):
+    """Solid angles (height, width) in steradians of the pixels of a panorama with edges at
+    elevations phi_deg."""
+    low, high = np.radians(phi_deg)
+    edges = np.linspace(low, high, height + 1)  # of the rows
+    bands = 2 * np.pi * np.diff(np.sin(edges))  # the area of the unit sphere between two elevations
+    return np.tile(bands[:, None] / width, width)
+
+
+def _a_panorama(rng: Rng, k: int) -> tuple:
+    return (
+        int(rng.integers(5, 12)),
+        int(rng.integers(3, 8)),
+        (float(rng.uniform(-85, -20)), float(rng.uniform(10, 70))),
     )
-    return depth[..., None] * rays
 
 
-def _a_depth(rng: Rng, k: int) -> tuple:
-    H, W = int(rng.integers(2, 5)), int(rng.integers(5, 9))
-    return rng.uniform(1, 20, (H, W)), rng.uniform(-3, 3, W), rng.uniform(-0.7, 0.7, H)
+check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
+    np.diff(np.sin(edges)) → np.diff(edges)
+    # a row near a pole is short: its area goes with cos φ, or with the difference of sin φ
+    np.diff(np.sin(edges)) → np.cos((edges[1:] + edges[:-1]) / 2)
+    # that is the cosine: the height of a row in radians is missing
+    np.sin( → np.cos(  # sin φ at the edges, not cos φ
+    / width, width → , width  # that is the area of whole rows: divide by the columns
+""")
 
 
-check_points_of_depth = Open(points_of_depth, _a_depth).with_slips("""
-    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
-    → np.sin(theta), np.sin(phi), np.cos(theta)
-    # x and z shrink with cos φ, or the ray has not length 1
-    depth[..., None] * rays → depth[..., None] * rays / rays[..., 2:]
-    # depth is along the ray, not z
+def behind(center, points, inverse_depth, phi_deg, t):
+    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from
+    the rig to the depth of the surface in its direction, at the fractions t (steps,) of the way
+    from a camera (3,) to points (…, 3)."""
+    # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
+    H, W = inverse_depth.shape
+    places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
+    x, y, z = np.moveaxis(places, -1, 0)
+    theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))
+    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
+    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int).clip(0, H - 1)
+    return (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max(axis=0)
+
+
+def _a_scene(rng: Rng, k: int) -> tuple:
+    H, W = 8 + k % 3, 20 + 2 * (k % 5)
+    points = rng.normal(0, 3, (3, 4 + k % 3, 3))
+    points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
+    points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama
+    t = np.sort(rng.uniform(0.1, 0.9, 6 + k % 2))
+    return rng.normal(0, 0.4, 3), points, rng.uniform(0.1, 0.8, (H, W)), (-40.0, 45.0 + k), t
+
+
+check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
+    norm(places, → norm(places - center,
+    # the distance from the rig, not from the camera: the panorama holds depths from the rig
+    (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
+    → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
+    # the place's distance over the depth of the surface, not the other way round
+    np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
 """)

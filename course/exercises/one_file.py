@@ -9,7 +9,7 @@ import numpy as np
 from course.exercises.nb01 import project_rays
 from course.exercises.nb03 import look_up, points_on_sphere, rays_of_pixels
 from course.exercises.nb04 import mean_of_pairs, winner, zncc_costs
-from course.exercises.nb07 import refined, sum_of_paths
+from course.exercises.nb05 import refined, sum_of_paths
 
 # the paths of SGM: rows down and columns to the right
 EIGHT = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
@@ -31,7 +31,7 @@ def depth(images, cameras, grid):
     smooth = [
         blurred(gray(image), camera, W) for image, camera in zip(images, cameras, strict=True)
     ]
-    radius = max(round((9 * min(W / 1200, 1) ** 0.5 - 1) / 2), 2)  # the window of notebook 07
+    radius = max(round((9 * min(W / 1200, 1) ** 0.5 - 1) / 2), 2)  # the window of notebook 05
     volume = np.empty((H, W, N), np.float32)
     for n in range(N):
         points = points_on_sphere(rays, n, N, grid.min_depth)
@@ -80,7 +80,7 @@ def warp(image, camera, points):
 
 
 def penalties(W, N):
-    """P1 and P2 for a panorama of W columns and N spheres: the rule of notebook 07."""
+    """P1 and P2 for a panorama of W columns and N spheres: the rule of notebook 05."""
     scale = min(W / 1200, 1)
     p2 = 12 * min(scale**2 * 192 / N, 1)
     return min(0.1 * scale**0.5, p2), p2

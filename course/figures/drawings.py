@@ -634,7 +634,7 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
             _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
             ax.text(3.2 * k - 0.6, 1.3, between[k - 1], ha="center", fontsize=8, color="0.3")
     ax.text(14.8, 1.3, f"{height} × {width} indices", ha="center", fontsize=8, color="0.3")
-    for k, notebook in enumerate(("01, 02", "03", "04, 05, 06", "07", "07")):
+    for k, notebook in enumerate(("01, 02", "03", "04, 07, 08", "05", "05")):
         ax.text(3.2 * k + 1.0, -0.35, notebook, ha="center", fontsize=8, color="0.3")
     ax.set(xlim=(-0.3, 16), ylim=(-0.6, 1.7))
     return fig

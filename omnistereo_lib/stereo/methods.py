@@ -292,7 +292,7 @@ def penalties(width: int, num_spheres: int) -> tuple[float, float]:
 
     A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the
     same penalties; and among more spheres its slope is more steps a pixel, each of which is paid.
-    The powers were chosen on held-out frames of the training sets; see notebook 07. Neither penalty
+    The powers were chosen on held-out frames of the training sets; see notebook 05. Neither penalty
     exceeds that of the paper's scale.
     """
     # P2 = 12 (W / 1200)² 192 / N and P1 = 0.1 √(W / 1200), both at most those of the paper.

@@ -74,7 +74,7 @@ def default_window(width: int) -> int:
 
     It is the odd number nearest to 9 √(W / 1200), at least 5 and never larger than the paper's. A
     window of 9 would be 10° wide at 320 columns, and hold more than one depth. Chosen on held-out
-    frames of the training sets; see notebook 07.
+    frames of the training sets; see notebook 05.
     """
     side = 9 * min(width / 1200, 1.0) ** 0.5
     return max(2 * round((side - 1) / 2) + 1, 5)

@@ -54,13 +54,13 @@ DEFINITIONS = {
     "nb04.zncc_costs": lambda a, b, radius: reference.zncc(a[None], b[None], 2 * radius + 1)[0],
     "nb04.mean_of_pairs": reference.mean_over_pairs,
     "nb04.winner": lambda costs: reference.winner(costs, subindex=False),
-    "nb07.step": lambda cost, before, p1, p2: cost + reference.message(before, p1, p2),
-    "nb07.sum_of_paths": lambda volume, p1, p2, directions: reference.sgm(volume, p1, p2),
-    "nb07.refined": lambda costs: reference.winner(costs, subindex=True),
-    "nb12.correlation": correlation,
-    "nb13.project": lambda camera, points: reference.project(points, camera),
-    "nb13.warp": warp,
-    "nb13.cost_volume": cost_volume,
+    "nb05.step": lambda cost, before, p1, p2: cost + reference.message(before, p1, p2),
+    "nb05.sum_of_paths": lambda volume, p1, p2, directions: reference.sgm(volume, p1, p2),
+    "nb05.refined": lambda costs: reference.winner(costs, subindex=True),
+    "nb16.correlation": correlation,
+    "nb06.project": lambda camera, points: reference.project(points, camera),
+    "nb06.warp": warp,
+    "nb06.cost_volume": cost_volume,
 }
 
 

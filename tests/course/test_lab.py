@@ -218,6 +218,15 @@ def folders(tmp_path, monkeypatch):
     return nbtools.NOTEBOOKS, lab_module.WORKING
 
 
+def test_a_copy_with_an_old_number_is_kept_and_named(folders, capsys):
+    lab_module.WORKING.mkdir()
+    old = lab_module.WORKING / "06b_what_sweepnet_knows.ipynb"
+    old.write_text("mine")
+    lab_module.start([])
+    assert old.read_text() == "mine"
+    assert "06b_what_sweepnet_knows is now 09_what_sweepnet_knows" in capsys.readouterr().out
+
+
 def test_working_copies_are_kept_until_one_is_renewed(folders, capsys):
     stored, working = folders
     lab_module.start([])

@@ -160,7 +160,7 @@ def test_a_wrong_picture_is_shown_above_the_right_one(number, function):
 
 
 def test_a_wrong_curve_is_shown_beside_the_right_one():
-    function = next(check for check in exercises.functions("14") if check.name == "robust_weight")
+    function = next(check for check in exercises.functions("12") if check.name == "robust_weight")
     with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
         function(lambda residuals, scale: function.answer(residuals, scale) ** 2)
     ((shown,), _) = display.call_args
@@ -200,7 +200,7 @@ def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypat
         first.hint()
         == "a solution begins with `theta = (columns + 0.5 - width / 2) * 2 * np.pi / width`"
     )
-    assert exercises.functions("05")[3].hint() == "one line is enough"
+    assert exercises.functions("07")[3].hint() == "one line is enough"
 
 
 # --- Garbage, once

@@ -71,12 +71,12 @@ def test_the_certificate_shows_the_panorama_of_the_own_functions_and_nothing_els
             path, {function.name: True for function in exercises.functions(nbtools.number(path))}
         )
     (picture,) = re.findall(r'base64,([^"]+)"', written(tmp_path))
-    nb = nbformat.read(copies / "13_one_page.ipynb", 4)
+    nb = nbformat.read(copies / "06_one_page.ipynb", 4)
     (cell,) = [cell for cell in nb.cells if progress.PICTURE in cell.source]
     shown = [output.data for output in cell.outputs if "data" in output]
     assert picture in {data.replace("\n", "") for one in shown for data in one.values()}
     for one in shown:
         one.update(dict.fromkeys(one, '"><script>alert(1)</script>'))
-    nbformat.write(nb, copies / "13_one_page.ipynb")
+    nbformat.write(nb, copies / "06_one_page.ipynb")
     page = written(tmp_path)
     assert "<figure>" in page and "alert(1)" in page and "<script" not in page

@@ -41,7 +41,7 @@ LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
 BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
 SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
 DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
-LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
+LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
 def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> None:

@@ -25,6 +25,11 @@ BESIDE = (
     "what_you_write ten_minutes own_cameras conventions notation glossary prerequisites teaching"
     " exam mistakes reproduction training data library promises elsewhere"
 )
+REDIRECT = (
+    '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{0}</title>\n'
+    '<meta http-equiv="refresh" content="0; url={0}.html">\n'
+    '<p>This notebook is now <a href="{0}.html">{0}</a>.</p>\n</html>\n'
+)
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
@@ -56,6 +61,9 @@ def assemble(source: Path, extra: Path) -> None:
     (source / "reference").mkdir(parents=True)
     extra.mkdir()
     shutil.copy(STREET, extra)
+    (extra / "notebooks").mkdir()
+    for old, stem in nbtools.MOVED.items():
+        (extra / "notebooks" / f"{old}.html").write_text(REDIRECT.format(stem), encoding="utf-8")
     shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
     for path in (*BOOK.glob("*.png"), *BOOK.glob("*.jpg")):
         shutil.copy(path, source)

@@ -33,7 +33,7 @@ SETS = {
     "room": ("indoor", "rooms", "things"),
     "flight": ("aerial",),
 }
-_PX_PER_DEG = 1.8  # pictures are halved to that, as in notebooks 00 and 09, to save time
+_PX_PER_DEG = 1.8  # pictures are halved to that, as in notebooks 00 and 11, to save time
 _FIRST_REPORTED = 50  # seed
 PAGE = Path(__file__).parents[2] / "book" / "promises.md"
 _BEGIN, _END = "<!-- mistakes-planted -->", "<!-- /mistakes-planted -->"

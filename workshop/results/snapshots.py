@@ -1,4 +1,4 @@
-"""Snapshots of SweepNet in training, for notebook 06: its best spheres of one frame."""
+"""Snapshots of SweepNet in training, for notebook 08: its best spheres of one frame."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def test_they_come_from_what_ships(name):
     assert all(set(frame) == set(stored["methods"]) for frame in frames)
 
 
-# ZNCC's, since the networks take minutes; notebook 08 computes a frame of "teaching" again.
+# ZNCC's, since the networks take minutes; notebook 10 computes a frame of "teaching" again.
 @pytest.mark.parametrize(("name", "number"), [("ablations", 831), ("penalties", 153)])
 def test_a_frame_again(name, number):
     stored = read_record(STORED[name])
