@@ -6,7 +6,7 @@ camera, so that the rest of the library uses a single camera class.
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified
 models); Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007
 (omni); Devernay and Faugeras 2001 (fov); the manuals of OpenCV (pinhole) and Metashape;
-projectaria-tools (fisheye624).
+projectaria-tools (fisheye624), NVIDIA's DriveWorks (f-theta).
 """
 
 from collections.abc import Callable, Mapping
@@ -28,6 +28,7 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 FISHEYE = ("k1", "k2", "k3", "k4")
 FISHEYE624 = (*(f"k{n}" for n in range(6)), "p0", "p1", "s0", "s1", "s2", "s3")
 RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
+F_THETA = tuple(f"p{k}" for k in range(1, 16))
 METASHAPE = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 
 # x and y on the plane, and where they exist and are one to one; elsewhere they mean nothing.
@@ -123,6 +124,15 @@ def _fisheye624(rays: Floats, p0: float, p1: float, **more: float) -> Plane:
     return x * dot + r2 * (p0 + s0 + s1 * r2), y * dot + r2 * (p1 + s2 + s3 * r2), valid
 
 
+def _f_theta(rays: Floats, to_angle: float, **p: float) -> Plane:
+    """A polynomial p1 x + p2 x² + …: θ of a radius (to_angle = 1), or r(θ), as far as it grows."""
+    r = Polynomial([0, *(p.get(name, 0.0) for name in F_THETA)])
+    if not to_angle:
+        return _radial(rays, _increasing(r))
+    radii = np.linspace(0, min(_end(r), 1e3), 1 << 17)  # linear between them: 1e-8 of a radius
+    return _radial(rays, lambda theta: np.interp(theta, r(radii), radii, right=np.nan))
+
+
 class _Model(NamedTuple):
     plane: Callable[..., Plane]
     needed: tuple[str, ...]
@@ -138,6 +148,7 @@ _MODELS = {
     "pinhole": _Model(_pinhole, (), (*RADTAN, "rpmax")),
     "fov": _Model(_field_of_view, ("w",)),
     "fisheye624": _Model(_fisheye624, FISHEYE624),
+    "ftheta": _Model(_f_theta, ("to_angle", "p1"), F_THETA[1:]),
 }
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = _Model(partial(_metashape, projection=_name), (), METASHAPE)
@@ -148,8 +159,8 @@ _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np
 def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
     """Return the projection of a named model: rays (..., 3) → pixels (..., 2), valid (...).
 
-    `parameters` are fx, fy, cx, cy in pixels, those of the model, and `skew` of the affine map
-    u = fx x + skew y + cx, v = fy y + cy.
+    `parameters` are fx, fy, cx, cy in pixels, those of the model, and `skew` and `shear` of the
+    affine map u = fx x + skew y + cx, v = shear x + fy y + cy.
 
     Raises:
         OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of
@@ -162,7 +173,7 @@ def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
         )
     plane, needed, optional = _MODELS[model]
     needed = (*PINHOLE, *needed)
-    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew"}:
+    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew", "shear"}:
         raise OmnistereoError(
             f"camera model {model!r} needs the parameters {list(needed)}, found {list(parameters)}"
         )
@@ -183,11 +194,12 @@ def _project(
     cx: float,
     cy: float,
     skew: float = 0.0,
+    shear: float = 0.0,
     **own: float,
 ) -> Projected:
     with np.errstate(all="ignore"):  # where it is not valid
         x, y, valid = plane(np.asarray(rays, np.float64), **own)
-        return np.stack([fx * x + skew * y + cx, fy * y + cy], -1), valid
+        return np.stack([fx * x + skew * y + cx, shear * x + fy * y + cy], -1), valid
 
 
 def _components(rays: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -203,11 +215,20 @@ def _radial(rays: Floats, radius: Callable[[Floats], Floats]) -> Plane:
 
 
 def _odd(k: list[float]) -> Callable[[Floats], Floats]:
-    """Return θ + k[0] θ³ + k[1] θ⁵ + … as far as it increases, NaN beyond."""
-    r = Polynomial([0, 1, *(term for each in k for term in (0, each))])
-    roots = r.deriv().roots()
-    end = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real.min(initial=np.inf)
+    """Return θ + k[0] θ³ + k[1] θ⁵ + … as far as it increases."""
+    return _increasing(Polynomial([0, 1, *(term for each in k for term in (0, each))]))
+
+
+def _increasing(r: Polynomial) -> Callable[[Floats], Floats]:
+    """Return a polynomial of θ as far as it increases, NaN beyond."""
+    end = _end(r)
     return lambda theta: np.where(theta < end, r(theta), np.nan)
+
+
+def _end(r: Polynomial) -> float:
+    """Return the least positive argument at which a polynomial stops increasing, or infinity."""
+    roots = r.deriv().roots()
+    return float(roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real.min(initial=np.inf))
 
 
 def _radtan(x: Floats, y: Floats, coefficients: Mapping[str, float]) -> tuple[Floats, Floats]:

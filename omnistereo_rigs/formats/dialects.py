@@ -6,12 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
-from omnistereo_lib.parse import Section, check_count
+from omnistereo_lib.parse import Section, check_count, parse_floats
 from omnistereo_lib.rig_file import MAX_BYTES
 from omnistereo_rigs.formats import colmap, opencv
 from omnistereo_rigs.formats.camera_models import (
+    F_THETA,
     FISHEYE,
     FISHEYE624,
     METASHAPE,
@@ -20,6 +24,7 @@ from omnistereo_rigs.formats.camera_models import (
 )
 from omnistereo_rigs.formats.table import (
     ALL,
+    FLU,
     K9,
     OPENGL,
     Dialect,
@@ -114,7 +119,26 @@ def _frames(data: Section, path: Path) -> list[Section]:
     found = [data.add(cams[n].name, cams[n].values) for n in moment.images]
     for cam in found:
         cam.ignore(*_NOT_OF_A_CAMERA.split())
+        stated = [key for key in FISHEYE if cam.values.get(key) is not None]
+        if stated != [*FISHEYE[: len(stated)]]:
+            raise OmnistereoError(
+                f"{cam.name}: found {' '.join(stated)}; expected k1 k2 … without a gap. Write what "
+                "is missing, 0 where the lens has none"
+            )
+        if not stated and "FISHEYE" in str(cam.values.get("camera_model")):
+            cam.note("none of k1 to k4 is stated: 0, as nerfstudio takes it")
     return found
+
+
+def _sensors(data: Section, path: Path) -> list[Section]:
+    """Return the cameras among the sensors, with R of roll, pitch, yaw in degrees: Rz Ry Rx."""
+    data.note("axes and pixel centres are as DriveWorks documents them, not checked with it")
+    sensors = data.section("rig").sections("sensors").values()
+    cams = [each for each in sensors if "camera" in str(each.get("name", "camera"))]
+    for cam in cams:
+        degrees = cam.floats("nominalSensor2Rig_FLU.roll-pitch-yaw", 3)
+        cam.values["R"] = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix().tolist()
+    return cams
 
 
 def _sockets(data: Section, path: Path) -> list[Section]:
@@ -141,6 +165,23 @@ def _metashape(lens: Section) -> dict[str, float]:
     return found | middle | {"fx": found["fx"] + b1, "skew": b2}
 
 
+def _f_theta(sensor: Section) -> dict[str, float]:
+    """Return its numbers, radii in units of 100 px: u = c x + d y + cx, v = e x + y + cy."""
+    kind = sensor.word("properties.polynomial-type", "pixeldistance-to-angle")
+    if kind not in ("pixeldistance-to-angle", "angle-to-pixeldistance"):
+        raise OmnistereoError(f"polynomial-type is {kind}; expected pixeldistance-to-angle")
+    terms = parse_floats(str(sensor.require("properties.polynomial|bw-poly")).split(), "polynomial")
+    if terms[0] != 0 or not 2 <= len(terms) <= 1 + len(F_THETA):
+        raise OmnistereoError(f"polynomial is {terms}; expected 0 and 1 to 15 coefficients")
+    to_angle = kind.startswith("pixel")
+    terms = terms * 100.0 ** np.arange(len(terms)) if to_angle else terms / 100
+    found = {"to_angle": float(to_angle), "fy": 100.0}
+    for key, ours, default in (("c", "fx", 1), ("d", "skew", 0), ("e", "shear", 0)):
+        found[ours] = 100 * sensor.number(f"properties.linear-{key}", default)
+    center = numbers(sensor, {f"properties.{key}": key for key in ("cx", "cy")})
+    return found | center | dict(zip(F_THETA, terms[1:].tolist(), strict=False))
+
+
 # What recognises a file.
 
 
@@ -158,10 +199,10 @@ def _inside(*keys: str) -> Callable[[dict[str, Any]], bool]:
 
 
 def _items(name: str, key: str) -> Callable[[dict[str, Any]], bool]:
-    """Return whether a list holds mappings one of which has the key."""
+    """Return whether a list, or one in `rig`, holds mappings one of which has the key."""
 
     def recognises(data: dict[str, Any]) -> bool:
-        values = data.get(name)
+        values = _mapping(data.get("rig", data)).get(name)
         return isinstance(values, list) and any(key in _mapping(value) for value in values)
 
     return recognises
@@ -375,6 +416,22 @@ DIALECTS = (
         ),
         unit="metres",
         measured_deg={"fisheye624": _AHEAD},
+        settings=True,
+    ),
+    Dialect(
+        name="DriveWorks rig",
+        what="cameras with an f-theta polynomial and nominalSensor2Rig_FLU",
+        recognises=_items("sensors", "properties"),
+        cameras=_sensors,
+        model="properties.Model",
+        models={"ftheta": ("ftheta", _f_theta)},
+        size="properties.width properties.height",
+        poses=(Way("R nominalSensor2Rig_FLU.t", FLU),),
+        values=dict.fromkeys(
+            ("correction_sensor_R_FLU", "correction_rig_T"),
+            Value((), "Add it to nominalSensor2Rig_FLU, and delete it"),
+        ),
+        unit="metres",
         settings=True,
     ),
     Dialect(

@@ -21,6 +21,7 @@ _log = logging.getLogger("omnistereo_lib")
 _OFF_CENTER = 0.12
 _CENTERED = 0.04
 _SQUARE = 0.1  # pixels of a sensor are as wide as high, to a few thousandths
+_NEAR, _FAR = 2e-3, 30.0  # m; a telephone's lenses are further apart, a ship's bridge is no wider
 _ONE_POSE_DEG, _ONE_POSE_M = 0.01, 1e-4
 _LEVEL_DEG = 10.0  # mounted cameras lean less, frames of another convention more
 _ASTRAY_DEG = 60.0  # from the mean of the other cameras, beyond which a camera is mounted rolled
@@ -64,7 +65,15 @@ def _doubt(camera: OcamCamera) -> str | None:
 
 
 def check_poses(rig: Rig, source: Path) -> None:
-    """Warn of two cameras with one pose: a block of the file that was copied and not changed."""
+    """Warn of positions in another unit, and of two cameras with one pose, as of a copied block."""
+    apart = rig.baselines.max()
+    if not _NEAR < apart < _FAR:
+        warnings.warn(
+            f"{source}: the cameras stand up to {apart:.3g} m apart; expected {1000 * _NEAR:g} mm "
+            f"to {_FAR:g} m. Check the unit of the positions: is it millimetres?",
+            UserWarning,
+            stacklevel=2,
+        )
     for k, m in combinations(range(len(rig)), 2):
         degrees, metres = (rig.T_rig_cam[k].inverse() @ rig.T_rig_cam[m]).magnitude()
         if degrees < _ONE_POSE_DEG and metres < _ONE_POSE_M:

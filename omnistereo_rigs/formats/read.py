@@ -6,8 +6,10 @@ import tomllib
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -259,6 +261,12 @@ def _read(path: Path) -> tuple[Path, str, float | None, Found]:
     if path.name in _COLMAP or (is_model and "rig_config.json" not in names):
         folder = path if is_folder else path.parent
         return folder, *_interpreted(_ROWS["COLMAP model"], {}, folder)
+    if is_folder and (path / "cameras.bin").exists() and find_spec("pycolmap"):
+        import pycolmap
+
+        with error_context(path), TemporaryDirectory() as text:
+            pycolmap.Reconstruction(path).write_text(text)
+            return path, *_interpreted(_ROWS["COLMAP model"], {}, Path(text))
     if is_folder and (files := sorted(path.glob("cam*/sensor.yaml"))):  # EuRoC's
         check_count(len(files))
         data = {file.parent.name: read_data(file, MAX_BYTES) for file in files}
@@ -283,9 +291,8 @@ def _read(path: Path) -> tuple[Path, str, float | None, Found]:
 def _no_rig(folder: Path) -> OmnistereoError:
     if (folder / "cameras.bin").exists():
         return OmnistereoError(
-            f"{folder} is a binary model of COLMAP. Type `colmap model_converter --input_path "
-            f"{folder} --output_path {folder} --output_type TXT`, or in Python "
-            f"pycolmap.Reconstruction({str(folder)!r}).write_text(…)"
+            f"{folder} is a binary model of COLMAP. Install pycolmap, or type `colmap "
+            f"model_converter --input_path {folder} --output_path {folder} --output_type TXT`"
         )
     names = sorted(file.name for file in folder.iterdir())[:8]
     return OmnistereoError(
@@ -324,8 +331,7 @@ def _read_file(path: Path) -> tuple[str, float | None, Found]:
     inner = sorted({str(key) for item in listed if isinstance(item, dict) for key in item})[:8]
     raise OmnistereoError(
         f"{path}: unknown format, found the keys {keys}, and in them {inner}. Write K, D, R, T and "
-        "the size of each camera as OpenCV names them, or polynomials of the radius (f-theta) as "
-        f"ocam1.txt, …; {_supported()}"
+        f"the size of each camera as OpenCV names them; {_supported()}"
     )
 
 

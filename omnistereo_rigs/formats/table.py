@@ -34,6 +34,7 @@ METRES = {"metres": 1.0, "centimetres": 0.01}  # of the unit of a row; 1 where i
 K9 = ("fx", "skew", "cx", "0", "fy", "cy", "0", "0", "1")  # a camera matrix, row by row
 ALL = ("*",)  # every number of a mapping, by its name
 OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenGL (y up, z back) in those of OpenCV
+FLU = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # camera axes in x forward, y left, z up
 
 Names = Sequence[str] | str  # of numbers in their order, or of one number
 Parameters = Mapping[str, Names] | Callable[[Section], Mapping[str, Any]]  # by their paths

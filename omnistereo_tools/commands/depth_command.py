@@ -66,6 +66,9 @@ class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameO
     crops: Path | None = option(
         "perspective crops with depth and transforms.json", metavar="FOLDER"
     )
+    las: Path | None = option(
+        "points for surveyors and GIS, z up; needs laspy", suffixes=(".las", ".laz")
+    )
     up: Literal["z"] | None = option("of points and .ply: x forward, y left", unset="y is down")
 
     def __post_init__(self) -> None:
@@ -105,7 +108,7 @@ def run(options: DepthOptions) -> int:
     doubt = next(image_doubts(frame, grid), None)
     warn_of([doubt] if doubt else [])
     hold(out)
-    for file in filter(None, (options.mesh, options.equirectangular)):
+    for file in filter(None, (options.mesh, options.equirectangular, options.las)):
         make_folder(file.parent)
     if options.crops is not None:
         make_folder(options.crops)
@@ -117,7 +120,7 @@ def run(options: DepthOptions) -> int:
     if replaced := result.replaces(out):
         say(replaced)
     written = result.write(out, progress_bar())
-    written += result.export(options.mesh, options.equirectangular, options.crops)
+    written += result.export(options.mesh, options.equirectangular, options.crops, options.las)
     print(*result.sentences(), coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
     print(out / "index.html" if result.fits else rig_doctor(options))
@@ -156,13 +159,15 @@ def _check(options: DepthOptions, out: Path) -> None:
     """Refuse --images of a recording, and results that would replace what is read."""
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.output.frame import beside
+    from omnistereo_tools.output.points import import_laspy
 
     for path in of_recordings(options.images or ()):
         right = as_typed("record", RecordOptions, options)
         raise OmnistereoError(
             f"{path} holds many frames; expected one picture per camera. For recordings: {right}"
         )
-    files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
+    files = [out / "overview.png", out / "index.html", options.mesh, options.las]
+    files.append(options.equirectangular)
     if options.equirectangular is not None:
         files += beside(options.equirectangular)
     folders = [out / "data"]
@@ -170,3 +175,5 @@ def _check(options: DepthOptions, out: Path) -> None:
         files += [crops / "transforms.json", crops / "points.ply"]
         folders += [crops / "images", crops / "depth", crops / "masks"]
     check_outputs(options, files, folders)
+    if options.las is not None:
+        import_laspy()

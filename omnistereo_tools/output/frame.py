@@ -189,6 +189,7 @@ class FrameResult:
         mesh_file: Path | None = None,
         equirectangular: Path | None = None,
         crops: Path | None = None,
+        las: Path | None = None,
     ) -> list[str]:
         """Write the files for other programs that are asked for, into folders that exist; return
         what each holds. See `write_mesh`, `equirectangular_depth` and `write_crops`.
@@ -207,6 +208,9 @@ class FrameResult:
         if crops is not None:
             count = write_crops(crops, self.depth, self.limits, self._cloud)
             written.append(f"{crops}/ ({count} crops of all that the cameras see; transforms.json)")
+        if las is not None:
+            self._cloud.write_las(las)
+            written.append(f"{las} (points with z up)")
         return written
 
     def _write_equirectangular(self, path: Path) -> tuple[Path, Path]:

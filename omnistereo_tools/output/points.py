@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
 
@@ -109,6 +112,31 @@ class PointCloud:
         header += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in _PROPERTIES.items()]
         with atomic_write(path) as temporary:
             temporary.write_bytes("\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
+
+    def write_las(self, path: Path) -> None:
+        """Write the points as LAS 1.4, or as LAZ by the suffix: z up, whole millimetres."""
+        laspy, content = import_laspy(), BytesIO()
+        header = laspy.LasHeader(point_format=7, version="1.4")
+        header.scales = np.full(3, 0.001)  # before there are points, which keep those of the header
+        las = laspy.LasData(header)
+        las.xyz = self.points @ AXES["z"]
+        las.red, las.green, las.blue = 257 * self.colors.T.astype(np.uint16)
+        for name, values in (("confidence", self.confidence), ("doubtful", self.doubtful)):
+            values = values.astype(np.float32)
+            las.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype))
+            las[name] = values
+        las.write(content, do_compress=path.suffix.lower() == ".laz")
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(content.getvalue())
+
+
+def import_laspy() -> ModuleType:
+    """Return the module laspy; an `OmnistereoError` says how to install it."""
+    try:
+        import laspy
+    except ImportError:
+        raise OmnistereoError("--las needs laspy: pip install 'omnistereo-lib[las]'") from None
+    return laspy
 
 
 def normals(points: NDArray[Any]) -> NDArray[np.float64]:

@@ -94,6 +94,13 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     assert "of 2304 rays have a depth" in captured.out and "camera 1 of 4:" in captured.err
 
 
+def test_las_without_laspy_is_refused_before_anything_is_computed(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("depth", *with_images(data), *SMALL, "--out", out, "--las", out / "a.laz") == 2
+    assert "--las needs laspy: pip install 'omnistereo-lib[las]'" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_depth_of_images(data, tmp_path, capsys):
     out = tmp_path / "out"
     (out / "data").mkdir(parents=True)

@@ -10,13 +10,11 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
 from omnistereo_tools.outputs import READ, hold, let_go
 
-WRITES = ("out", "mesh", "equirectangular", "crops", "video", "write")
+WRITES = ("out", "mesh", "equirectangular", "crops", "las", "video", "write")
 FILES = {
     "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
-    **dict.fromkeys(
-        ("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"),
-        "image",
-    ),
+    **dict.fromkeys((f"1.{suffix}" for suffix in ("las", "ply", "tiff")), "image"),
+    **dict.fromkeys((f"{name}.png" for name in (2, 3, 4, "dark", "overview", "mask")), "image"),
     **dict.fromkeys(("data/points.png", "crops/images/1.png", "crops/transforms.json"), "image"),
     **dict.fromkeys(
         ("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"),
@@ -42,6 +40,7 @@ COMMANDS = [
     f"{FRAME} --equirectangular same.tiff",
     f"{FRAME} --equirectangular set/../1.tiff",
     "depth --rig rig.yaml --images 1.ply 2.png --mesh 1.ply",
+    "depth --rig rig.yaml --images 1.las 2.png --las 1.las",
     "depth --rig rig.yaml --images overview.png 2.png --out .",
     "depth --rig rig.yaml --images data/points.png 2.png --out .",
     "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",

@@ -33,6 +33,9 @@ PROGRAMS = {
         "mrcal==2.5.2.post1 numpysane==0.45 --no-deps --no-build-isolation",
         "3.12",
     ),
+    "kitti360": ("kitti360", "kitti360scripts==1.0.0 numpy==2.4.6 PyYAML==6.0.3 --no-deps", "3.11"),
+    "formulas": ("formulas", "numpy==2.4.6", "3.11"),
+    "laspy": ("laspy", "laspy==2.7.0 lazrs==0.8.2 numpy==2.4.6", "3.11"),
     "open3d": ("open3d", "open3d==0.20.0", "3.11"),
     "meshlab": ("meshlab", "pymeshlab==2025.7.post1", "3.11"),
     "rasterio": ("rasterio", "rasterio==1.4.4", "3.11"),
@@ -74,6 +77,10 @@ one is taken back. *none* is an answer that says so, the name of an error an exc
 number is an answer without a warning. The largest field is the one over which rays go to pixels \
 and back to .01°, looked at every degree. Pixel centres and the order of parameters are as a \
 library states them.
+
+Not here: basalt and Kalibr, programs in C++ that no package installs (`formats/camera_models.py` \
+has their formulas, tested by hand), and MATLAB itself, whose row is computed by the formula on \
+its page. GLOMAP is `global_mapping` of pycolmap since COLMAP 4, with COLMAP's models and files.
 
 """
 _PARTS = {
@@ -161,6 +168,9 @@ def make_files(folder: Path) -> Path:
     result.export(folder / "scene.glb", folder / "whole.tiff", folder / "crops")
     result.export(folder / "scene.ply")
     cloud.write(folder / "points_z.ply", "z")
+    if (laspy := install("laspy")) is not None:
+        sys.path.append(str(laspy[1]))
+        cloud.write_las(folder / "points.laz")
     count = 60
     places = random.normal(size=(count, 3)).astype(np.float32)
     surface = Surface(

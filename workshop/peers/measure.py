@@ -37,6 +37,8 @@ def lens(library, model, order, centres, project, unproject, wide=None):
         return found, ""
 
     def back(u):
+        if unproject is None:
+            return None, "has none"
         found, why = attempt(unproject, np.array([u, CY]))
         if found is None:
             return None, why
@@ -59,7 +61,8 @@ def lens(library, model, order, centres, project, unproject, wide=None):
         field = int(2 * degrees)
     words = [f"{pixel:.2f}" if pixel is not None else why_pixel]
     words += [f"{angle:.1f}°" if angle is not None else why_angle]
-    ROWS["lenses"].append([library, model, order, centres, *words, f"{field}°"])
+    field = f"{field}°" if unproject else "not tried"
+    ROWS["lenses"].append([library, model, order, centres, *words, field])
 
 
 def pose(library, what, meaning):
@@ -350,6 +353,57 @@ def of_mrcal(folder, truth):
         "rt_cam_ref of a cameramodel",
         "reference → camera, metres, Rodrigues; older files call it extrinsics",
     )
+
+
+def of_kitti360(folder, truth):
+    from kitti360scripts.helpers.project import CameraFisheye
+
+    camera = CameraFisheye.__new__(CameraFisheye)  # which else reads a data set
+    camera.fi = {
+        "mirror_parameters": {"xi": 1.0},
+        "distortion_parameters": {"k1": 0.0, "k2": 0.0, "p1": 0.1, "p2": 0.1},
+        "projection_parameters": {"gamma1": 2 * F, "gamma2": 2 * F, "u0": CX, "v0": CY},
+    }
+
+    def project(r):
+        return np.ravel(camera.cam2image(r[:, None])[:2])
+
+    order = "xi, k1 k2, gamma1 gamma2 u0 v0; p1 p2 of its files are not used"
+    lens("kitti360scripts 1.0.0", "MEI, xi = 1", order, "whole", project, None)
+
+
+def of_formulas(folder, truth):
+    """MATLAB's fisheyeIntrinsics by its documentation: rays (u'', v'', a0 + a2 ρ² + a3 ρ³ + a4 ρ⁴),
+    stretched by [c d; e 1]; here r = 2 f tan(θ / 2).
+    """
+    a0, a2 = F, -1 / (4 * F)
+
+    def project(r):
+        n, z = np.hypot(*r[:2]), r[2]
+        if n == 0:
+            return [CX, CY]
+        roots = np.roots([a2, -z / n, a0])  # a0 + a2 ρ² = ρ z / n
+        rho = min(root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0)
+        return [CX + rho * r[0] / n, CY + rho * r[1] / n]
+
+    def unproject(uv):
+        x, y = uv - [CX, CY]
+        return [x, y, a0 + a2 * (x * x + y * y)]
+
+    order = "a0 a2 a3 a4, centre, c d e"
+    lens("MATLAB, by its formula", "fisheyeIntrinsics", order, "whole from 1", project, unproject)
+    pose("MATLAB, by its formula", "rigidtform3d of estimateExtrinsics", "world → camera")
+
+
+def of_laspy(folder, truth):
+    import laspy
+
+    las = laspy.read(str(folder / "points.laz"))
+    x, y, z = truth["points"].T
+    off = np.abs(las.xyz - np.column_stack([z, -x, -y])).max()
+    file("--las a.laz", f"laspy {laspy.__version__}", "metres", off, 0.00051)
+    off = np.abs(las.confidence - truth["quality"]).max()
+    file("--las a.laz", f"laspy {laspy.__version__}", "confidence", off, 1e-6)
 
 
 def of_open3d(folder, truth):

@@ -2,6 +2,7 @@
 principal point."""
 
 import logging
+import re
 import warnings
 
 import numpy as np
@@ -24,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from omnistereo_lib import OmnistereoError, Pose, Rig, save_rig
 from omnistereo_lib.geometry.camera import fit_inverse_polynomial
 from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
+from omnistereo_tools import cli
 
 # camera axes (x right, y down, z forward) in x forward, z up
 FLU = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
@@ -204,6 +206,22 @@ def test_a_camera_that_is_a_copy_is_said(tmp_path):
     rig = Rig((stereographic(),) * 5, (*poses[:2], poses[1], *poses[2:]))
     with pytest.warns(UserWarning, match="cameras 2 and 3 have the same pose; expected another"):
         loaded(rig, tmp_path)
+
+
+@pytest.mark.parametrize(("scale", "far"), [(1000, "173 m"), (0.01, "0.00173 m"), (1, None)])
+def test_positions_in_another_unit_are_doubted(tmp_path, capsys, scale, far):
+    """Of a rig of 17 cm in files whose unit is metres, one of them with millimetres."""
+    data = kalibr(matrix([0, np.pi / 2, 0], scale * np.array([0.1, 0.1, 0.1])))
+    path = dump(tmp_path / "chain.yaml", data)
+    assert cli.main(["rig", str(path), str(tmp_path / "rig.yaml")]) == 0
+    said = capsys.readouterr().out
+    if far is None:
+        assert "doubts:  none" in said
+        return
+    assert re.search(
+        rf"Fair: 2 cameras, .*doubts:  the cameras stand up to {far} apart", said, re.S
+    )
+    assert "Check the unit of the positions" in said
 
 
 def test_a_principal_point_outside_is_refused(tmp_path):

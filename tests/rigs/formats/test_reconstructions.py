@@ -184,8 +184,26 @@ def test_the_rig_of_rigs_txt(tmp_path):
 
 def test_binary_models_say_what_to_do(tmp_path):
     write(tmp_path / "cameras.bin", "")
-    with pytest.raises(OmnistereoError, match=r"colmap model_converter .* --output_type TXT"):
+    with pytest.raises(OmnistereoError, match=r"Install pycolmap, or type `colmap model_converter"):
         read(tmp_path)
+
+
+@pytest.mark.nightly
+def test_binary_models_are_read_by_pycolmap(exported, pycolmap, tmp_path):
+    """What COLMAP has made of our own lenses and two images of each."""
+    rig, folder, residual = exported
+    model = pycolmap.Reconstruction(folder / "colmap")
+    for n, pose in enumerate(rig.T_rig_cam, 1):
+        matrix = np.column_stack([pose.R.T, -pose.R.T @ pose.t])
+        image = pycolmap.Image(name=f"cam{n}/1.png", camera_id=n, image_id=n)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(matrix))
+    model.write_binary(tmp_path)
+    back, said = read(tmp_path, None, "m")
+    assert not (tmp_path / "cameras.txt").exists() and not said
+    same(back, rig.T_rig_cam)
+    for ours, true in zip(back.cameras, rig.cameras, strict=True):
+        uv, seen = ours.project(RAYS)
+        assert np.abs(uv - true.project(RAYS)[0])[seen].max() < residual + 0.02
 
 
 def test_frames_of_several_moments_are_one_rig(tmp_path):
@@ -205,6 +223,7 @@ def test_frames_of_several_moments_are_one_rig(tmp_path):
 WRONG_FRAMES = [
     ({"fl_x": None, "fl_y": None, "camera_angle_x": 2.9}, "frame 1: key 'fl_x' is missing; found .*camera_angle_x"),
     ({"is_fisheye": True}, "is_fisheye is True; .* Write camera_model: OPENCV_FISHEYE in its place"),
+    ({"k1": None}, "frame 1: found k2 k3 k4; expected k1 k2 … without a gap"),
     ({"camera_model": None}, "camera_model is not stated; expected one of opencv, pinhole"),
     ({"camera_model": "EQUIRECTANGULAR"}, "frame 1: camera_model is equirectangular; expected one"),
 ]  # fmt: skip
@@ -214,6 +233,15 @@ WRONG_FRAMES = [
 def test_frames_that_are_refused(tmp_path, changes, message):
     with pytest.raises(OmnistereoError, match=message):
         read(tmp_path / "t.json", transforms(**changes), "m")
+
+
+def test_coefficients_that_are_not_stated_are_said(tmp_path):
+    none = dict.fromkeys(("k1", "k2", "k3", "k4"))
+    rig, said = read(tmp_path / "t.json", transforms(**none), "m")
+    follows(rig.cameras[0], partial(kb4, k=[0] * 4))
+    assert len(said) == 1 and "none of k1 to k4 is stated: 0" in said[0]
+    plain = transforms(**none, camera_model="PINHOLE")
+    assert not [text for text in read(tmp_path / "t.json", plain, "m")[1] if "k1" in text]
 
 
 def test_masks_of_frames_are_bright_inside(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rigs.formats.rig_file_samples import (
     DOUBLE_SPHERE,
+    EXAMPLES,
     K4,
     MEI,
     METASHAPE,
@@ -48,6 +49,14 @@ def changed(data, *path, value=None):
     return copy
 
 
+def f_theta(*more, **lens):
+    """Return the example of the book, its lenses changed."""
+    data = json.loads(EXAMPLES["DriveWorks rig"][1])
+    for sensor in data["rig"]["sensors"]:
+        sensor["properties"] |= lens | (more[0] if more else {})
+    return data
+
+
 DS = {"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}
 LINEAR = {"fx": 300.0, "fy": 300.0, "cx": 400.0, "cy": 380.0}
 K3 = {"camera_type": "pinhole", "intrinsics": LINEAR | {"k3": 0.1}}
@@ -56,6 +65,33 @@ IMU = kalibr(np.eye(4), T_cam_imu=np.eye(4).tolist())
 KNOWN = r"unknown format, found the keys .*supported formats.*basalt JSON.*Kalibr.*OpenCV"
 NUMPY = "cam1: {D: !!python/object/apply:numpy.core.multiarray._reconstruct {args: []}}\n"
 ENTITY = '<!DOCTYPE a [<!ENTITY b "bb">]><opencv_storage>&b;</opencv_storage>'
+# As other programs publish them: a lens, or a rig, whose keys could be taken for those of a format.
+EQUIDISTANT = {"type": "equidistant", "parameters": {"cols": 1, "rows": 4, "data": K4}}
+IDENTITY = {"cols": 4, "rows": 4, "data": np.eye(4).ravel().tolist()}
+OTHERS = {
+    "okvis": {"cameras": [{"T_SC": [1] * 16, "image_dimension": list(SIZE), "distortion_coefficients": K4, "distortion_type": "equidistant", "focal_length": [200, 200], "principal_point": [400, 380]}] * 2},
+    "maplab": {"label": "rig", "cameras": [{"camera": {"image_height": 760, "image_width": 800, "type": "pinhole", "intrinsics": {"cols": 1, "rows": 4, "data": [200, 200, 400, 380]}, "distortion": EQUIDISTANT}, "T_B_C": IDENTITY}] * 2},
+    "ORB-SLAM3": {"Camera.type": "KannalaBrandt8", "Camera1.fx": 190.9, "Camera1.fy": 190.9, "Camera1.cx": 254.9, "Camera1.cy": 256.8, "Camera1.k1": 3e-3, "Camera2.fx": 190.4, "Stereo.T_c1_c2": IDENTITY},
+    "SVO": {"cam_model": "Pinhole", "cam_width": 752, "cam_height": 480, "cam_fx": 315.5, "cam_fy": 315.5, "cam_cx": 376, "cam_cy": 240, "cam_d0": 0},
+    "mrcal": {"lensmodel": "LENSMODEL_OPENCV4", "intrinsics": [400, 400, 320, 240, -0.1, 0.01, 0, 0], "extrinsics": [0] * 6, "imagersize": [640, 480]},
+    "OpenSfM": {"v2 a fisheye": {"projection_type": "fisheye", "width": 4000, "height": 3000, "focal": 0.45, "k1": -0.01, "k2": 0.001}},
+    "OpenMVG": {"sfm_data_version": "0.3", "views": [], "intrinsics": [{"key": 0, "value": {"polymorphic_name": "fisheye", "ptr_wrapper": {"id": 1, "data": {"width": 640, "height": 480, "focal_length": 200, "principal_point": [320, 240], "fisheye": K4}}}}]},
+    "Meshroom": {"version": ["1"], "views": [], "intrinsics": [{"intrinsicId": "1", "width": "640", "height": "480", "type": "fisheye4", "focalLength": "3.2", "principalPoint": ["0", "0"], "distortionParams": ["0"] * 4}]},
+    "WoodScape": {"extrinsic": {"quaternion": [0.5, -0.5, 0.5, -0.5], "translation": [3.7, 0, 0.6]}, "intrinsic": {"aspect_ratio": 1, "cx_offset": 3.9, "cy_offset": -3, "height": 966, "width": 1280, "k1": 339.7, "k2": -31.9, "k3": 48.2, "k4": -7.2, "model": "radial_poly", "poly_order": 4}},
+    "RealSense": {"width": 848, "height": 800, "ppx": 424.5, "ppy": 399.7, "fx": 285.7, "fy": 285.7, "model": "distortion.kannala_brandt4", "coeffs": [*K4, 0]},
+    "multical": {"cameras": {f"cam{n}": {"model": "standard", "image_size": [640, 480], "K": K.tolist(), "dist": [-0.1, 0.01, 0, 0, 0]} for n in (1, 2)}, "camera_poses": {"cam2_to_cam1": {"R": np.eye(3).tolist(), "T": [-0.2, 0, 0]}}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("data", OTHERS.values(), ids=OTHERS)
+def test_files_of_programs_that_are_not_read_are_never_read_as_another_format(tmp_path, data):
+    """With those that the page describes these are the files of 29 programs."""
+    path = dump(tmp_path / "a.json", data)
+    for function in (read_any_rig, read_any_camera):
+        with pytest.raises(OmnistereoError, match=r"unknown format, found the keys|model is stand"):
+            function(path)
+
+
 RIGS = [
     ("a.json", basalt(intrinsics=[DS, DS]), "camera 0: .*xi must be numbers"),
     ("a.json", basalt(resolution=[list(SIZE)]), "expected lists of one T_imu_cam, intrinsics"),
@@ -79,6 +115,9 @@ RIGS = [
     ("a.json", {"cameraData": [1]}, "cameraData: expected pairs"),
     ("a.json", {"cameraData": 1}, "cameraData: expected pairs"),
     ("a.json", changed(sockets(1, -1), "cameraData", 0, 1, "distortionCoeff", 9, value=0.1), "has 14 numbers; expected 4"),
+    ("a.json", f_theta(polynomial="1 2"), "polynomial is .*; expected 0 and 1 to 15"),
+    ("a.json", f_theta({"polynomial-type": "other"}), "polynomial-type is other; expected pixel"),
+    ("a.json", changed(f_theta(), "rig", "sensors", 0, "correction_rig_T", value=[0, 0, 1]), "Add it to nominalSensor2Rig_FLU"),
     ("config.yaml", each(omnimvs(), "max_fov", max_fow=220), r"key 'max_fow' has no meaning; is 'max_fov' meant"),
     ("config.yaml", each(omnimvs(), "invalid_mask", invalidmask="a.png"), "is 'invalid_mask' meant"),
     ("config.yaml", each(omnimvs(), "inv_poly", Inv_poly=[2, 1, 1]), "is 'inv_poly' meant"),
