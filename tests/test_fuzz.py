@@ -22,24 +22,7 @@ import torch
 import yaml
 from learn.tiny import MCCNN as RECIPE
 from PIL import Image
-from rigs.formats.rig_file_samples import (
-    D4,
-    EXAMPLES,
-    MEI,
-    METASHAPE,
-    OCAM_TXT,
-    POSES_TXT,
-    R2,
-    RAYS,
-    SIZE,
-    T2,
-    K,
-    basalt,
-    kalibr,
-    matrix,
-    omnimvs,
-    ros,
-)
+from rigs.formats.rig_file_samples import EXAMPLES, OCAM_TXT, POSES_TXT, RAYS, omnimvs
 
 import omnistereo_lib as osl
 from course.classroom import handin
@@ -55,10 +38,47 @@ from omnistereo_tools.live_view import Latest, LivePicture, serve
 MEMORY = 1 << 30
 pytestmark = pytest.mark.nightly
 FILES = int(os.environ.get("FUZZ", "50"))
-WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
-         "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip
-VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10**30, 2.5, "", "abc", [], {}, [[]], [1],
-          {"a": 1}, [[[[1]]]], "../x", "/dev/zero", "I32"]  # fmt: skip
+WORDS = [
+    "nan",
+    ".nan",
+    "inf",
+    "-.inf",
+    "1e308",
+    "-1e308",
+    "1e30",
+    "0",
+    "-1",
+    "2.5",
+    "abc",
+    "[]",
+    "{}",
+    "null",
+    "true",
+    "*a",
+    "&a",
+    '"',
+    "³",
+    "\ufeff",
+    "!!python/name:os",
+    "2020-99-99",
+]
+WORDS += ["", "9" * 400, "\t", "a: b"]
+VALUES = [
+    None,
+    True,
+    0,
+    -1,
+    1e308,
+    -1e308,
+    1e30,
+    float("nan"),
+    float("inf"),
+    10**30,
+    2.5,
+    "",
+    "abc",
+]
+VALUES += [[], {}, [[]], [1], {"a": 1}, [[[[1]]]], "../x", "/dev/zero", "I32"]
 
 
 def damage(content, rng):
@@ -197,50 +217,29 @@ def check_step(step):
 def samples(folder):
     """Return reader → (name of the file, its content, how it is read, what the result must be, how
     it is damaged)."""
-    opencv = {"K1": K, "D1": D4, "K2": K, "D2": D4, "R": R2, "T": T2}
-    opencv = {key: value.tolist() for key, value in opencv.items()}
-    opencv |= {"image_size": list(SIZE), "fisheye": 1}
-    chain = kalibr(matrix([0, 1, 0], [1, 0, 0]))
-    found = {
-        "omnimvs": ("config.yaml", json.dumps(omnimvs()), read_any_rig, check_rig),
-        "omnimvs, in lines": ("config.yaml", yaml.safe_dump(omnimvs()), read_any_rig, check_rig),
-        "basalt": ("calibration.json", json.dumps(basalt()), read_any_rig, check_rig),
-        "kalibr": ("camchain.yaml", json.dumps(chain), read_any_rig, check_rig),
-        "opencv": (
-            "opencv.yaml",
-            json.dumps(opencv),
-            lambda path: read_any_rig(path, "cm"),
-            check_rig,
-        ),
-        "ros": ("ros.yaml", json.dumps(ros()), lambda path: read_any_rig(path, "cm"), check_rig),
-        "camodocal": ("mei.yaml", json.dumps(MEI), read_any_camera, check_camera),
-        "metashape": (
-            "lens.xml",
-            METASHAPE.format(projection="fisheye"),
-            read_any_camera,
-            check_camera,
-        ),
-        "ocam": ("ocam1.txt", OCAM_TXT, read_any_camera, check_camera),
-    }
-    for name in ("COLMAP rig", "nerfstudio", "MC-Calib"):
-        found[name] = (
-            EXAMPLES[name][0],
-            EXAMPLES[name][1],
-            lambda path: read_any_rig(path, "cm"),
-            check_rig,
-        )
-    found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], read_any_camera, check_camera)
-    (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
-    found["COLMAP model"] = (
-        *EXAMPLES["images.txt"],
-        lambda path: read_any_rig(path, "cm"),
-        check_rig,
-    )
+    for file, text in EXAMPLES.values():  # some read a second one beside them
+        (folder / file).write_text(text)
+    lenses = ("camodocal camera", "Gyroflow lens profile", "Metashape lens")
+    found = {"ocam": ("ocam1.txt", OCAM_TXT, read_any_camera, check_camera)}
+    for name in EXAMPLES.keys() - {"a folder", "COLMAP model"}:
+        kind = (read_any_camera, check_camera) if name in lenses else (in_metres, check_rig)
+        found[name] = (*EXAMPLES[name], *kind)
+    found["in lines"] = ("config.yaml", yaml.safe_dump(omnimvs()), read_any_rig, check_rig)
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
     found |= tensors(folder) | records() | netpbm() | hand_in()
     return {
         name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()
     }
+
+
+def in_metres(path):
+    """Read a rig, in metres where its format does not state the unit."""
+    try:
+        return read_any_rig(path)
+    except osl.OmnistereoError as error:
+        if "does not state its unit" not in str(error):
+            raise
+        return read_any_rig(path, "m")
 
 
 def ocam_poses(folder):
@@ -356,8 +355,8 @@ def netpbm():
     """Two pictures of six values, one as bytes."""
     text = "P3 # as text\n3 2\n300\n" + " ".join(str(17 * k) for k in range(18))
     content = b"P6\n3 2 255\n" + bytes(range(18))
-    return {"netpbm text": ("a.ppm", text, read_as_pillow, check_image),
-            "netpbm": ("a.ppm", content, read_as_pillow, check_image)}  # fmt: skip
+    samples = {"netpbm text": text, "netpbm": content}
+    return {name: ("a.ppm", it, read_as_pillow, check_image) for name, it in samples.items()}
 
 
 def read_as_pillow(path):

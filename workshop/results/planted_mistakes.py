@@ -187,11 +187,17 @@ def judge(seed: int, number: int) -> dict[str, str]:
     innocent |= case.cameras is not None and not set(cameras) <= set(case.cameras)
     chi2 = f"{chi2_of(measured, case.true):.2f}" if measured and case.true else ""
     return {
-        "planted": planted, "scene": scene, "set": case.where or f"{name} {place}",
-        "cameras": " ".join(str(k + 1) for k in case.cameras or ()), "said": cause,
-        "accused": " ".join(str(k + 1) for k in cameras), "right": str(int(right)),
-        "innocent": str(int(innocent)), "chi2": chi2, "text": text,
-    }  # fmt: skip
+        "planted": planted,
+        "scene": scene,
+        "set": case.where or f"{name} {place}",
+        "cameras": " ".join(str(k + 1) for k in case.cameras or ()),
+        "said": cause,
+        "accused": " ".join(str(k + 1) for k in cameras),
+        "right": str(int(right)),
+        "innocent": str(int(innocent)),
+        "chi2": chi2,
+        "text": text,
+    }
 
 
 def chi2_of(measured: MeasuredRig, true: Rig) -> float:

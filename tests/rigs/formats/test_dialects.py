@@ -69,6 +69,11 @@ def every(data, **lens):
     }
 
 
+def kalibr_lens(model, intrinsics, distortion, coefficients):
+    lens = {"distortion_model": distortion, "distortion_coeffs": coefficients}
+    return every(chain(), camera_model=model, intrinsics=intrinsics, **lens)
+
+
 def mc_calib(pose):
     K = {"rows": 3, "cols": 3, "dt": "d", "data": [200.0, 0, 400, 0, 199.0, 380, 0, 0, 1]}
     lens = {"camera_matrix": K, "distortion_vector": K4, "distortion_type": 1, "camera_group": 0}
@@ -127,22 +132,26 @@ KANNALA |= {"projection_parameters": MU}
 LINEAR = {"camera_model": "pinhole", "intrinsics": FOCAL}
 OPENCV4 = {"camera_model": "OPENCV", "fl_x": 400.0, "fl_y": 398.0, "k1": -0.1, "k2": 0.01}
 OPENCV4 |= {"k3": 0.0, "k4": None, "p1": 1e-5, "p2": -1e-5}
+D_MEI = [-0.01, 0.002, 0.0, 0.0]
+OMNI = partial(mei, f=FOCAL[:2], k1=-0.01, k2=0.002)
+LINES = partial(brown, f=FOCAL[:2], k=(0, 0), p=(0, 0))
+MC_CALIB = {"nb_camera": 2} | {f"camera_{n}": mc_calib(pose) for n, pose in enumerate(POSES)}
 # Of a second camera: file, content, unit, projection, full field of view.
 RIGS = {
     "basalt": ("a.json", basalt(), None, partial(ds, f=(225, 222.6)), 220),
     "kalibr ds": ("a.yaml", chain(), None, ds, 220),
-    "kalibr equi": ("a.yaml", every(chain(), **LINEAR, distortion_model="equi", distortion_coeffs=K4), None, EQUIDISTANT, 180),
-    "kalibr fov": ("a.yaml", every(chain(), **LINEAR | {"camera_model": "Pinhole"}, distortion_model="fov", distortion_coeffs=[0.9]), None, fov, 180),
-    "kalibr omni": ("a.yaml", every(chain(), camera_model="omni", intrinsics=[1.5, *FOCAL], distortion_model="radtan", distortion_coeffs=[-0.01, 0.002, 0.0, 0.0]), None, partial(mei, f=FOCAL[:2], k1=-0.01, k2=0.002), 220),
-    "kalibr radtan": ("a.yaml", every(chain(), **LINEAR, distortion_model="radtan", distortion_coeffs=[0.0] * 4), None, partial(brown, f=FOCAL[:2], k=(0, 0), p=(0, 0)), 120),
-    "kalibr without a distortion model": ("a.yaml", every(chain(), distortion_model=None), None, ds, 220),
+    "kalibr equi": ("a.yaml", kalibr_lens("pinhole", FOCAL, "equi", K4), None, EQUIDISTANT, 180),
+    "kalibr fov": ("a.yaml", kalibr_lens("Pinhole", FOCAL, "fov", [0.9]), None, fov, 180),
+    "kalibr omni": ("a.yaml", kalibr_lens("omni", [1.5, *FOCAL], "radtan", D_MEI), None, OMNI, 220),
+    "kalibr radtan": ("a.yaml", kalibr_lens("pinhole", FOCAL, "radtan", [0] * 4), None, LINES, 120),
+    "kalibr no distortion": ("a.yaml", every(chain(), distortion_model=None), None, ds, 220),
     "vins": ("a.yaml", VINS, None, kb4, 220),
-    "mc-calib": ("a.yml", {"nb_camera": 2} | {f"camera_{n}": mc_calib(pose) for n, pose in enumerate(POSES)}, "cm", kb4, 180),
+    "mc-calib": ("a.yml", MC_CALIB, "cm", kb4, 180),
     "anipose": ("a.toml", toml(), "m", kb4, 180),
     "aria": ("a.json", aria(), None, fisheye624, 180),
     "nerfstudio": ("a.json", transforms(), "m", kb4, 180),
     "nerfstudio opencv": ("a.json", transforms(**OPENCV4), "m", brown, 120),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -198,11 +207,16 @@ LENSES = {
     "mei": ("a.yaml", yaml.safe_dump(MEI), mei),
     "kannala-brandt": ("a.yaml", yaml.safe_dump(KANNALA), kb4),
     "gyroflow": ("a.json", json.dumps(GYROFLOW), kb4),
-    "metashape frame": ("a.xml", METASHAPE.format(projection="frame"), partial(of_metashape, radius=tan)),
-    "metashape equidistant": ("a.xml", METASHAPE.format(projection="equidistant_fisheye"), partial(of_metashape, radius=lambda theta: theta)),
-    "metashape equisolid": ("a.xml", METASHAPE.format(projection="equisolid_fisheye"), partial(of_metashape, radius=lambda theta: 2 * sin(theta / 2))),
     "metashape decentred": ("a.xml", P1.format(projection="frame"), decentred),
-}  # fmt: skip
+}
+RADII = {
+    "frame": tan,
+    "equidistant_fisheye": lambda theta: theta,
+    "equisolid_fisheye": lambda theta: 2 * sin(theta / 2),
+}
+for name, radius in RADII.items():
+    text = METASHAPE.format(projection=name)
+    LENSES[f"metashape {name}"] = ("a.xml", text, partial(of_metashape, radius=radius))
 
 
 @pytest.mark.parametrize("name", LENSES)

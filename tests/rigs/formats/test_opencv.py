@@ -74,25 +74,28 @@ CAMERAS = {
     "fisheye: true": without("distortion_model", fisheye=True),
     "is_fisheye: 1": without("distortion_model", is_fisheye=1),
     "fisheye_model: 1": without("distortion_model", fisheye_model=1),
-    "lens_type": without("D", "distortion_model", lens_type="fisheye", **COEFFICIENTS),
+    "lens_type": without("D", "distortion_model", lens_type="fisheye") | COEFFICIENTS,
     "pinhole-equidistant": LENS | {"camera_model": "pinhole", "distortion_model": "equidistant"},
     "Kannala-Brandt": LENS | {"distortion_model": "Kannala-Brandt"},
     "focal lengths": without("K", **FOCAL),
     "blocks": without("K", intrinsics=FOCAL),
     "notes": LENS | {"camera_name": "left", "rms": 0.2, "P": [0] * 12, "roi": {"width": 0}},
-}  # fmt: skip
+}
+TOP = numbered(lambda name, n: f"{name}{n}")
+STEREO = {key: value for key, value in TOP.items() if key not in ("R2", "T2")}
+STEREO |= {"R1": np.eye(3).tolist(), "R2": np.eye(3).tolist()}
 LAYOUTS = {
     **{name: {"cameras": [cam, cam | POSE]} for name, cam in CAMERAS.items()},
     "a list": [LENS, LENS | POSE],
     "by position": {"front": LENS, "rear": LENS | POSE},
     "in a wrapper": {"rig": {"cam1": LENS, "cam2": LENS | POSE}, "version": 1},
-    "numbers": numbered(lambda name, n: f"{name}{n}"),
+    "numbers": TOP,
     "numbers from 0": numbered(lambda name, n: f"{name}_{n - 1}"),
-    "stereoCalibrate": {k: v for k, v in numbered(lambda name, n: f"{name}{n}").items() if "2" not in k} | {"K2": K.tolist(), "D2": K4, "R1": np.eye(3).tolist(), "R2": np.eye(3).tolist()} | POSE,
+    "stereoCalibrate": STEREO | POSE,
     "lists": LISTS | {"image_sizes": [list(SIZE)] * 2},
     "lists of one size": LISTS | {"image_size": list(SIZE)},
     "ros": ros(),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -105,18 +108,19 @@ def test_every_layout_is_the_same_rig(tmp_path, layout):
 
 
 # What a lens states beside fx 200, fy 199 and the centre, and its projection.
-AT = {"f": (200, 199), "c": (400, 380)}
+SPHERES = partial(ds, xi=-0.2, alpha=0.6, f=(200, 199), c=(400, 380))
+OMNI = partial(mei, xi=1.2, f=(500, 498), k1=-0.1, k2=0.02)
 SHORT = {"fx": 350.0, "fy": 350.0}
 BY_PARAMETERS = [
-    ({"xi": -0.2, "alpha": 0.6}, partial(ds, xi=-0.2, alpha=0.6, **AT)),
-    ({"params_ds": {"alpha": 0.6, "Xi": -0.2}}, partial(ds, xi=-0.2, alpha=0.6, **AT)),
-    ({"camera_model": "double_sphere", "xi": -0.2, "alpha": 0.6}, partial(ds, xi=-0.2, alpha=0.6, **AT)),
+    ({"xi": -0.2, "alpha": 0.6}, SPHERES),
+    ({"params_ds": {"alpha": 0.6, "Xi": -0.2}}, SPHERES),
+    ({"camera_model": "double_sphere", "xi": -0.2, "alpha": 0.6}, SPHERES),
     ({"alpha": 0.6, "beta": 1.1}, eucm),
     ({"omega": 0.9} | SHORT, partial(fov, f=(350, 350))),
-    ({"xi": 1.2, "D": [-0.1, 0.02, 0, 0], "fx": 500, "fy": 498}, partial(mei, xi=1.2, f=(500, 498), k1=-0.1, k2=0.02)),
+    ({"xi": 1.2, "D": [-0.1, 0.02, 0, 0], "fx": 500, "fy": 498}, OMNI),
     ({"D": [-0.1, 0.01, 0, 0, 0], "fx": 400, "fy": 398}, partial(brown, p=(0, 0))),
     ({"model": "none", "fx": 400, "fy": 398}, partial(brown, k=(0, 0), p=(0, 0))),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("stated", "pixel"), BY_PARAMETERS)
@@ -209,31 +213,31 @@ REFUSED = [
     (without("distortion_model", "D"), NO_MODEL.format(0)),
     (without("distortion_model", D=[0.1, 0.2, 0.3]), NO_MODEL.format(3)),
     (without("distortion_model", "D", dist_coef=K4), NO_MODEL.format(0)),
-    (LENS | {"distortion_model": "thin_prism"}, "camera 1: model is thin_prism; expected one of fisheye"),
+    (LENS | {"distortion_model": "thin_prism"}, "model is thin_prism; exp.* one of fisheye"),
     (LENS | {"distortion_model": "mei"}, "camera 1: key 'xi' is missing"),
     (without("distortion_model", xi=-0.2, alpha=0.6), "camera 1: D has 4 numbers; expected 0"),
     (LENS | {"distortion_model": "none"}, "camera 1: D has 4 numbers; expected 0"),
-    (LENS | {"xi": 0.5}, "'xi' is a parameter of a lens that is not the one stated"),
+    (LENS | {"xi": 0.5}, "'xi' is a parameter of a lens that is not the one"),
     (LENS | {"k5": 0.1}, "'k5' is a parameter of a lens"),
     (LENS | {"lambda": 2.0}, "'lambda' is a parameter of a lens"),
     (LENS | {"coeffs": K4}, "'coeffs' is a parameter of a lens"),
-    (LENS | {"fisheye": True, "distortion_model": "plumb_bob"}, "two camera models are stated, plumb_bob and fisheye"),
+    (LENS | {"fisheye": True, "distortion_model": "plumb_bob"}, "stated, plumb_bob and fisheye"),
     (LENS | {"D": [*K4, 0.1]}, "camera 1: D has 5 numbers; expected 4: k1 k2 k3 k4"),
     (LENS | {"rvec": [0.0, 1.0, 0.0]}, "R and rvec state one thing with different values"),
     (LENS | {"camera_matrix": np.eye(3).tolist()}, "K and camera_matrix state one thing"),
     (LENS | {"T": None, "tvec": [1.0, 2.0]}, "camera 1: tvec must be 3 numbers, found 2"),
-    (LENS | {"K": None, "cameraMatrix": [1, 2]}, "camera 1: cameraMatrix must be 9 numbers, found 2"),
+    (LENS | {"K": None, "cameraMatrix": [1, 2]}, "cameraMatrix must be 9 numbers, found 2"),
     (LENS | {"K": K.T.tolist()}, "camera 1: K is .*expected fx skew cx"),
     (LENS | {"R": np.eye(2).tolist()}, "camera 1: R has 4 numbers; expected a 3 × 3 matrix"),
     (LENS | {"R": [0.0, 0.0, 0.0, 1.0]}, "camera 1: R has 4 numbers; expected a 3 × 3 matrix"),
     (LENS | {"T": [float("nan"), 0, 0]}, "camera 1: T must be finite numbers"),
-    (LENS | {"binning_x": 2}, "camera 1: binning_x is 2; expected 1. Calibrate the images at their own size"),
+    (LENS | {"binning_x": 2}, "binning_x is 2; expected 1. Calibrate the images at their own"),
     (LENS | {"R": None}, "camera 2: no pose; .*expected R"),
     (LENS | {"D": {"rows": 1, "cols": 5, "data": K4}}, "D must be 5 numbers, found 4"),
-    (LENS | {"D": {"rows": 1, "cols": 1e300, "data": K4}}, "cols of D is 1e.300; expected an integer"),
-    (LENS | {"header": {"frame_id": "a"}, "P": [1.0] * 12}, "camera_info has no pose: R there is the rect"),
-    (LENS | {"T": None, "P": [1.0] * 12}, "camera_info has no pose: R there is the rectification"),
-]  # fmt: skip
+    (LENS | {"D": {"rows": 1, "cols": 1e300, "data": K4}}, "cols of D is 1e.300; exp.* integer"),
+    (LENS | {"header": {"frame_id": "a"}, "P": [1.0] * 12}, "camera_info has no pose: R there"),
+    (LENS | {"T": None, "P": [1.0] * 12}, "camera_info has no pose: R there is the rect"),
+]
 
 
 @pytest.mark.parametrize(("camera", "message"), REFUSED)

@@ -28,14 +28,15 @@ from omnistereo_lib import OmnistereoError, Pose
 from omnistereo_rigs.formats.read import read_any_rig
 from omnistereo_rigs.formats.write import export_rig
 
+ROUND, PINHOLE = partial(kb4, f=(200, 200)), partial(brown, f=(400, 400), k=(0, 0), p=(0, 0))
 MODELS = {
     "OPENCV_FISHEYE": ([200.0, 199.0, 400.5, 380.5, *K4], kb4),
-    "RADIAL_FISHEYE": ([200.0, 400.5, 380.5, -0.01, 0.004], partial(kb4, k=[-0.01, 0.004, 0, 0], f=(200, 200))),
-    "SIMPLE_RADIAL_FISHEYE": ([200.0, 400.5, 380.5, -0.01], partial(kb4, k=[-0.01, 0, 0, 0], f=(200, 200))),
+    "RADIAL_FISHEYE": ([200.0, 400.5, 380.5, -0.01, 0.004], partial(ROUND, k=[-0.01, 0.004, 0, 0])),
+    "SIMPLE_RADIAL_FISHEYE": ([200.0, 400.5, 380.5, -0.01], partial(ROUND, k=[-0.01, 0, 0, 0])),
     "OPENCV": ([400.0, 398.0, 400.5, 380.5, -0.1, 0.01, 1e-5, -1e-5], brown),
-    "SIMPLE_PINHOLE": ([400.0, 400.5, 380.5], partial(brown, f=(400, 400), k=(0, 0), p=(0, 0))),
+    "SIMPLE_PINHOLE": ([400.0, 400.5, 380.5], PINHOLE),
     "FOV": ([300.0, 299.0, 400.5, 380.5, 0.9], fov),
-}  # fmt: skip
+}
 
 
 def cameras_txt(name="OPENCV_FISHEYE", ids=(1, 2)):
@@ -108,7 +109,7 @@ NAMES = {
     "one moment": ("left.png", "right.png"),
     "one folder": ("a/left_7.png", "a/right_7.png"),
     "numbers": ("images/cam1.png", "images/cam2.png"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("names", NAMES)
@@ -146,24 +147,27 @@ def test_moments_that_differ_are_said(tmp_path):
 
 
 POSE = " ".join(map(str, [*wxyz(POSES[1].inverse().R), *POSES[1].inverse().t]))
+ONE = "moments of one camera, or cameras"
+NO_POINTS = images_txt("left.png", "right.png").replace("\n\n", "\n")
+CROSSED = images_txt("a/1.png", "b/1.png", "b/2.png", "a/2.png", shared=False)
 WRONG_MODELS = [
     ("images.txt", "1 1 0 0 0 0 0 0 7 a.png", r"line 1: found .*CAMERA_ID NAME"),
     ("images.txt", "", "there is no image"),
-    ("images.txt", images_txt("left.png", "right.png").replace("\n\n", "\n"), "line 2: .*a line of its points, which may be empty"),
-    ("images.txt", images_txt("1/a/0.png", "1/b/0.png", "2/a/0.png", "2/b/0.png"), "moments of one camera, or cameras"),
-    ("images.txt", images_txt("10.png", "11.png"), "moments of one camera, or cameras"),
-    ("images.txt", images_txt("1/a.png", "2/b.png"), "no file name is that of an image of each of"),
-    ("images.txt", images_txt(*(f"frame_{n:04}.png" for n in range(4))), "moments of one camera, or"),
-    ("images.txt", images_txt("l_1.png", "r_1.png", "l_2.png", "r_2.png"), "moments of one camera, or"),
-    ("images.txt", images_txt("a/1.png", "b/1.png", "b/2.png", "a/2.png", shared=False), "have several cameras"),
-    ("cameras.txt", "1 OPENCV_FISHEYE 800\n", r"line 1: found .*expected CAMERA_ID MODEL"),
-    ("cameras.txt", cameras_txt().replace("OPENCV_FISHEYE", "DIVISION"), "is division; expected one of"),
-    ("cameras.txt", "1 FISHEYE 800 760 200 199 400\n2 FISHEYE 800 760 2 2 2 2\n", "has 3 numbers; expected 4"),
-    ("rigs.txt", "1 2 CAMERA 1 CAMERA 2 0\n", r"camera \['2'\] is not in cameras.txt, or has no pose"),
-    ("rigs.txt", f"1 2 CAMERA 1 CAMERA 7 1 {POSE}\n", r"camera \['7'\] is not in cameras.txt"),
+    ("images.txt", NO_POINTS, "line 2: .*a line of its points, which may be empty"),
+    ("images.txt", images_txt("1/a/0.png", "1/b/0.png", "2/a/0.png", "2/b/0.png"), ONE),
+    ("images.txt", images_txt("10.png", "11.png"), ONE),
+    ("images.txt", images_txt("1/a.png", "2/b.png"), "no file name is that of an image of"),
+    ("images.txt", images_txt(*(f"frame_{n:04}.png" for n in range(4))), ONE),
+    ("images.txt", images_txt("l_1.png", "r_1.png", "l_2.png", "r_2.png"), ONE),
+    ("images.txt", CROSSED, "have several cameras"),
+    ("cameras.txt", "1 OPENCV_FISHEYE 800\n", "line 1: found .*expected CAMERA_ID MODEL"),
+    ("cameras.txt", cameras_txt().replace("OPENCV_FISHEYE", "DIVISION"), "is division; exp"),
+    ("cameras.txt", "1 FISHEYE 800 760 200 199 400\n2 FISHEYE 8 7 2 2 2 2\n", "has 3 numbers; exp"),
+    ("rigs.txt", "1 2 CAMERA 1 CAMERA 2 0\n", r"\['2'\] is not in cameras.txt, or has no"),
+    ("rigs.txt", f"1 2 CAMERA 1 CAMERA 7 1 {POSE}\n", r"\['7'\] is not in cameras.txt"),
     ("rigs.txt", "1 1 IMU 1\n", r"line 1: camera \[\] is not in cameras.txt"),
-    ("rigs.txt", 2 * f"1 2 CAMERA 1 CAMERA 2 1 {POSE}\n", "has 2 rigs of several cameras; expected one"),
-]  # fmt: skip
+    ("rigs.txt", 2 * f"1 2 CAMERA 1 CAMERA 2 1 {POSE}\n", "has 2 rigs of several cameras"),
+]
 
 
 @pytest.mark.parametrize(("file", "text", "message"), WRONG_MODELS)
@@ -220,13 +224,14 @@ def test_frames_of_several_moments_are_one_rig(tmp_path):
         read(tmp_path / "t.json", transforms() | {"frames": frames}, "m")
 
 
+NO_FOCAL = {"fl_x": None, "fl_y": None, "camera_angle_x": 2.9}
 WRONG_FRAMES = [
-    ({"fl_x": None, "fl_y": None, "camera_angle_x": 2.9}, "frame 1: key 'fl_x' is missing; found .*camera_angle_x"),
-    ({"is_fisheye": True}, "is_fisheye is True; .* Write camera_model: OPENCV_FISHEYE in its place"),
+    (NO_FOCAL, "frame 1: key 'fl_x' is missing; found .*camera_angle_x"),
+    ({"is_fisheye": True}, "is_fisheye is True; .* Write camera_model: OPENCV_FISHEYE"),
     ({"k1": None}, "frame 1: found k2 k3 k4; expected k1 k2 … without a gap"),
     ({"camera_model": None}, "camera_model is not stated; expected one of opencv, pinhole"),
-    ({"camera_model": "EQUIRECTANGULAR"}, "frame 1: camera_model is equirectangular; expected one"),
-]  # fmt: skip
+    ({"camera_model": "EQUIRECTANGULAR"}, "camera_model is equirectangular; expected one"),
+]
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG_FRAMES)
