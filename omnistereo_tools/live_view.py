@@ -23,38 +23,41 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.input.sources import Recording
+from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.ray import explain, told
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
-from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_panorama
+from omnistereo_tools.output.pictures import FILM, ColorScale, draw_frame, panes
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
 _PATIENCE_S = 10.0  # of a browser that neither asks nor reads
-_LEAVING_S = 0.5  # for each of two threads: Ctrl-C ends within two seconds
+_LEAVING_S = 5.0  # for each of two threads: a frame that is left would end the process badly
 # a name of another site may lead here, too
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
 _PORT = 8765  # or any free one
 PART = b"--x\r\nContent-Type: image/jpeg\r\n\r\n"  # before each picture of the stream
-_FPS = 10.0  # of pictures, which do not say
+_FPS = 5.0  # of pictures, which do not say
+_TURNS_S = 2 * np.pi / 30  # radians per second, of the eye around the rig
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
 
 @dataclass(frozen=True, eq=False)
 class LivePicture:
-    """What the browser shows: panorama over depth, its scale and a line of text."""
+    """What the browser shows: surfaces, panorama and depth, a line of text and a scale."""
 
     jpeg: bytes
     depth: Depth
-    rows: float  #: share of the height of the picture that the panorama takes, and the depth again
 
     def ray_at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Return row and column of the ray at a place of the picture, 0 to 1; None outside."""
-        grid = self.depth.grid
-        row, column = int(y % self.rows / self.rows * grid.height), int(x * grid.width)
-        return (row, column) if 0 <= y < 2 * self.rows and 0 <= column < grid.width else None
+        """Return row and column of the ray at a place of the picture, 0 to 1; None outside of the
+        two panoramas.
+        """
+        grid, (top, rows) = self.depth.grid, panes(self.depth.grid)
+        down = (y * FILM[1] - top) / rows
+        inside = 0 <= down < 1 and 0 <= x < 1
+        return (int(down * grid.height), int(2 * x % 1 * grid.width)) if inside else None
 
     def depth_at(self, x: float, y: float) -> str:
         """Return the depth in words at a place of the picture."""
@@ -117,7 +120,7 @@ class Cameras:
             such as /dev/v4l/by-id/…, the address of a stream, such as rtsp://…, or else a video
             file. One alone gives the images of all cameras, see `split_image`.
         rig: Its image sizes are asked of the cameras.
-        loop: Videos begin again when they have ended.
+        loop: Videos begin again when they have ended, pictures go back and forth.
 
     Raises:
         OmnistereoError: If there is not one source per camera, or one cannot be opened.
@@ -197,9 +200,12 @@ class Cameras:
     def _moments(self) -> Iterator[list[NDArray[np.uint8]]]:
         """Yield the images of all cameras, RGB, of one moment after the other."""
         if self.recording is not None:
-            yield from self.recording.read(list(self.recording.frames), self.rig)
+            frames = list(self.recording.frames)
+            if self.loop and all(isinstance(one, Pictures) for one in self.recording.sources):
+                frames += frames[-2:0:-1]
+            yield from self.recording.read(frames, self.rig)
             while self.loop:
-                yield from self.recording.read(list(self.recording.frames), self.rig)
+                yield from self.recording.read(frames, self.rig)
         # First grab all, then decode: they are nearer in time.
         while self._devices and all(device.grab() for device in self._devices):
             pictures = [device.retrieve()[1] for device in self._devices]
@@ -240,7 +246,7 @@ def live_pictures(
     """
     method = Method.parse(method)
     depth = sweep_depth(sweep, cameras.first, method)
-    draw_frame(depth, None, depth.confidence, ColorScale.of(depth.inverse_depth), "")
+    draw_frame(depth, None, depth.confidence, ColorScale.of(depth.inverse_depth), "", 0.0)
     return _play(cameras, sweep, method, watching)
 
 
@@ -266,7 +272,7 @@ def _play(
     threads = [Thread(target=target, daemon=True) for target in (cameras.read, compute)]
     for thread in threads:
         thread.start()
-    before = time.monotonic()
+    began = before = time.monotonic()
     try:
         for number, depth in enumerate(computed):
             if number % _EQUALISED == 0:
@@ -277,7 +283,8 @@ def _play(
                 f" {metres(np.nanmedian(depth.depth))}"
             )
             before = now
-            yield draw_picture(depth, gains, trust(depth), scale, note)
+            turn = _TURNS_S * (now - began)
+            yield draw_picture(depth, gains, trust(depth), scale, note, turn)
         if failed:
             raise failed[0]
     finally:
@@ -290,12 +297,17 @@ def _play(
 
 
 def draw_picture(
-    depth: Depth, gains: NDArray[Any], trusted: NDArray[np.float32], scale: ColorScale, note: str
+    depth: Depth,
+    gains: NDArray[Any],
+    trusted: NDArray[np.float32],
+    scale: ColorScale,
+    note: str,
+    turn: float = 0.0,
 ) -> LivePicture:
     """Return `draw_frame` as the browser gets it."""
-    picture = draw_frame(depth, gains, trusted, scale, note)
+    picture = draw_frame(depth, gains, trusted, scale, note, turn)
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-    return LivePicture(jpeg, depth, share_of_panorama(picture))
+    return LivePicture(jpeg, depth)
 
 
 class _Server(ThreadingHTTPServer):

@@ -84,7 +84,7 @@ def make_small(setattr):
     setattr(correlation, "COARSE", (32, 8))
     setattr(frame, "_WIDEST", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
-    setattr(pictures, "WIDTH", 192)
+    setattr(pictures, "_SHARP", 192)
     setattr(matplotlib.layout_engine.ConstrainedLayoutEngine, "execute", lambda *_: None)
 
 

@@ -36,11 +36,13 @@ class LiveOptions(MethodOptions, DepthRange, GridOptions, RigOptions):
     """Options of `omnistereo live`."""
 
     rig: Path = option("rig file or folder", MISSING)
-    cameras: tuple[str, ...] = option("number, device, rtsp:// or video of each", MISSING)
+    cameras: tuple[str, ...] = option("number, device, rtsp://, video or folder of each", MISSING)
     grid: str = "320x80x64"
     method: str | None = option("as of omnistereo depth", unset="one that keeps pace")
     follow: bool = option("when a camera has turned, go on with its new pose", False)
-    loop: bool = option("videos begin again when they have ended", False)
+    loop: bool = option(
+        "videos begin again when they have ended, pictures go back and forth", False
+    )
 
 
 def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:

@@ -6,7 +6,7 @@ Examples:
       every frame of folders of pictures; run it again to resume
   omnistereo record --rig rig.yaml --images front.mp4 right.mp4 back.mp4 left.mp4 --out drive
   --video drive/depth.mp4
-      videos, with a video of panorama over depth
+      videos, with a video of surfaces, panorama and depth
 methods: those of omnistereo depth
 """
 
@@ -68,7 +68,7 @@ class RecordOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, RigOp
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
     video: Path | None = option(
-        "panorama over depth, 1280 columns, as browsers play it", suffixes=(".mp4", ".webm")
+        "surfaces, panorama and depth, 1920 x 1080, at most 20 MB a minute", suffixes=(".mp4", ".webm")
     )
 
     def __post_init__(self) -> None:
@@ -167,7 +167,7 @@ def run(options: RecordOptions) -> int:
     print(f"{total} frames are in {out}/, which load_dataset reads")
     if options.video is not None:
         seconds = write_video(options.video, writer)
-        print(f"written to {options.video}: panorama over depth, {total} frames, {seconds:.1f} s")
+        print(f"written to {options.video}: {total} frames, {seconds:.1f} s")
     fitting = fits(share) and not doubt
     print(_next(options, out, fitting, bool(told)))
     return int(options.strict and not fitting)

@@ -228,7 +228,7 @@ class FrameResult:
         return names
 
     def _write_overview(self, path: Path) -> None:
-        what = self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences()
+        what = self.depth, self.panorama, self.trust, self.title, self.sentences()
         write_image(path, draw_overview(*what))
 
     def _write_page(self, path: Path) -> None:

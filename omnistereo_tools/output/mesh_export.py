@@ -83,17 +83,21 @@ def make_mesh(depth: Depth, limits: Limits) -> Trimesh:
     the circle, a little beyond; v grows upwards. Arguments and errors as in `write_mesh`.
     """
     trimesh = import_trimesh()
-    distance = np.where(limits.keep(depth), depth.depth, np.nan)
-    corners = _triangles(distance, depth.index)
+    points, corners = surfaces(depth, limits)
     if len(corners) == 0:
         raise OmnistereoError("no triangle is left for the mesh. Raise --max-depth")
-    used, corners = np.unique(corners, return_inverse=True)
+    return _unwrap(trimesh.Trimesh(points, corners, process=False), depth)
+
+
+def surfaces(depth: Depth, limits: Limits) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the vertices (M, 3), axes of the rig, and the triangles (F, 3), which face the rig."""
+    distance = np.where(limits.keep(depth), depth.depth, np.nan)
+    used, corners = np.unique(_triangles(distance, depth.index), return_inverse=True)
     on, towards = np.divmod(used, distance.size)
     rays = depth.grid.rays().reshape(-1, 3)
     halfway = rays[on] + rays[towards]  # of a vertex at a ray, the ray itself
     points = halfway / np.linalg.norm(halfway, axis=-1, keepdims=True) * distance.ravel()[on, None]
-    mesh = trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
-    return _unwrap(mesh, depth)
+    return points, corners.reshape(-1, 3)
 
 
 def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]:

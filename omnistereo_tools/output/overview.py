@@ -1,4 +1,4 @@
-"""`overview.png`: panorama, depth, trust and point cloud on one page.
+"""`overview.png`: panorama, depth, trust and surfaces on one page.
 
 Drawn by Pillow: loading Matplotlib and laying out a figure would take longer than the depth.
 """
@@ -14,26 +14,25 @@ from PIL import Image, ImageDraw, ImageFont
 
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
-from omnistereo_tools.output.pictures import ColorScale, draw_points, faded
-from omnistereo_tools.output.points import PointCloud
+from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.render import around, draw_surfaces
 
 _WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
 _LEFT, _RIGHT = 1040, 580  # px, of pictures in the two columns
 _TEXT, _NAME, _TITLE = 20, 22, 34  # px, of letters
 _DEGREES = 70  # px, of degrees beside a panorama
 _LETTERS = 56  # of a line of a note
-_BRIGHTER = 0.7  # power of the colours of points
+_AWAY, _FROM = 4.5, (0.35, 0.4)  # of the eye: nearest depths from the rig; turn, tilt, radians
 
 
 def draw_overview(
     depth: Depth,
     panorama: NDArray[np.uint8],
-    cloud: PointCloud,
     trust: NDArray[np.float32],
     title: str,
     notes: Sequence[str],
 ) -> NDArray[np.uint8]:
-    """Return the page, uint8 RGB, in two columns; doubtful rays and points are faded. Elevations
+    """Return the page, uint8 RGB, in two columns; what is doubtful is faded. Elevations
     are positive upwards, as a reader expects.
 
     Args:
@@ -57,12 +56,14 @@ def draw_overview(
     for place, label in scale.ticks():
         page.write((left + place * _LEFT, row + 22), label, "mt")
     bottom = row + 60
-    # Right: the points, trust and notes.
+    # Right: the surfaces, trust and notes.
     right, row = _WIDTH - _GAP - _RIGHT, 120
-    page.write((right, row), f"{len(cloud.points)} points, from above and behind", "la", _NAME)
+    page.write((right, row), "Surfaces, from above and behind", "la", _NAME)
     size = _RIGHT, round(0.62 * _RIGHT)
-    bright = (255 * (cloud.colors / 255) ** _BRIGHTER).astype(np.uint8)
-    page.paste(draw_points(cloud.points, faded(bright, cloud.doubtful), size), (right, row + 34))
+    twice, eye = (2 * _RIGHT, 2 * size[1]), around(_AWAY * depth.grid.min_depth, *_FROM)
+    view = draw_surfaces(depth, panorama, trust < DOUBTFUL, eye, twice)
+    small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
+    page.paste(small, (right, row + 34))
     row += 34 + size[1] + 20
     gray = np.repeat((255 * np.nan_to_num(trust)).astype(np.uint8)[..., None], 3, -1)
     name = f"How likely the depth is right; below {DOUBTFUL:g} doubtful"

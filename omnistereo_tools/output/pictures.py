@@ -16,14 +16,16 @@ from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama, finer_index
+from omnistereo_tools.output.render import BACKGROUND, around, draw_surfaces
 
-BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
 _SOFT = 0.2  # of trust, from not faded to faded
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
-WIDTH = 1280  # px, about, of a frame of a film
-_SCALE_PX, _NOTE_PX = 44, 40  # heights of the scale and of the line below it
+FILM = 1920, 1080  # px, of a frame of a film: width, height
+_SHARP = 1280  # px, about, of the panorama that the surfaces in it have their colours from
+_STRIP_PX = 44  # height of the note and the scale below the panoramas
+_AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
 _INK = (0xE8,) * 3
 
 
@@ -129,36 +131,64 @@ def as_picture(blended: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def draw_frame(
-    depth: Depth, gains: NDArray[Any] | None, trust: NDArray[Any], scale: ColorScale, note: str
+    depth: Depth,
+    gains: NDArray[Any] | None,
+    trust: NDArray[Any],
+    scale: ColorScale,
+    note: str,
+    turn: float,
 ) -> NDArray[np.uint8]:
-    """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as
-    live and on film.
+    """Draw a frame as live and on film: its surfaces seen from behind the rig, below them the
+    panorama, its depth in colours beside it, a note and the scale. What is doubtful is faded.
 
     Args:
         gains: As of `sharp_panorama`.
         trust: Of `trust.trust`, (H, W).
+        turn: Of the eye around the rig, radians; 0 looks ahead.
 
     Returns:
-        uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the
-        parts are
+        uint8 array, RGB, as large as `FILM`; `panes` says where the panoramas are
     """
     panorama, (index, _) = (
-        sharp_panorama(depth, WIDTH, gains),
-        finer_index(depth, finer(depth, WIDTH)),
+        sharp_panorama(depth, _SHARP, gains),
+        finer_index(depth, finer(depth, _SHARP)),
     )
-    height, width = (side // 2 * 2 for side in index.shape)
     fine_trust = cv2.resize(
         trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR
     )
     doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
-    strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
-    strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)
+    eye = around(_AWAY * depth.grid.min_depth, turn, _TILT)
+    view = draw_surfaces(depth, panorama, doubts, eye, (FILM[0], panes(depth.grid)[0]))
+    return compose(view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: no depth")
+
+
+def panes(grid: SphereGrid) -> tuple[int, int]:
+    """Return the first row and the height of the panoramas in `draw_frame`, px: two side by
+    side.
+    """
+    height = min(round(FILM[0] / 2 * grid.height / grid.width), FILM[1] // 2) // 2 * 2
+    return FILM[1] - _STRIP_PX - height, height
+
+
+def compose(
+    view: NDArray[np.uint8],
+    panorama: NDArray[np.uint8],
+    colors: NDArray[np.uint8],
+    scale: ColorScale,
+    note: str,
+) -> NDArray[np.uint8]:
+    """Put together a frame of a film from a view and two panoramas; see `draw_frame`."""
+    half, height = FILM[0] // 2, FILM[1] - _STRIP_PX - len(view)
+    pair = [
+        cv2.resize(one, (half, height), interpolation=cv2.INTER_AREA) for one in (panorama, colors)
+    ]
+    strip = np.full((_STRIP_PX, FILM[0], 3), BACKGROUND, np.uint8)
+    strip[4:18, half:] = cv2.resize(scale.bar(256), (half, 14), interpolation=cv2.INTER_LINEAR)
     for at, label in scale.ticks():
-        _write(strip, label, (int(np.clip(at * width - 16, 4, width - 52)), _SCALE_PX - 6))
-    line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
-    _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
-    return np.vstack([panorama[:height, :width], colors[:height, :width], strip, line])
+        _write(strip, label, (half + int(np.clip(at * half - 16, 4, half - 52)), _STRIP_PX - 6))
+    _write(strip, note, (12, _STRIP_PX - 15))
+    return np.vstack([view, np.hstack(pair), strip])
 
 
 def write_panorama(path: Path, image: NDArray[Any], grid: SphereGrid) -> None:
@@ -189,11 +219,6 @@ def in_millimetres(depth: NDArray[Any]) -> NDArray[np.uint16]:
 def finer(depth: Depth, width: int) -> int:
     """Return the factor by which the panorama of a depth is enlarged to about `width` columns."""
     return max(1, round(width / depth.grid.width))
-
-
-def share_of_panorama(frame: NDArray[np.uint8]) -> float:
-    """Return which share of the height of `draw_frame` the panorama takes, and the depth again."""
-    return (len(frame) - _SCALE_PX - _NOTE_PX) / 2 / len(frame)
 
 
 def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:

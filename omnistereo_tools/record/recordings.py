@@ -15,7 +15,7 @@ OUT/
                                     say so
   pictures.json                     for each frame, checksums of the pictures that its depth was
                                     computed from
-  video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with
+  video/00001.jpg                   surfaces, panorama and depth, doubtful rays faded, with
                                     --video
 """
 
@@ -23,7 +23,7 @@ import json
 import shutil
 import warnings
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -53,7 +53,7 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.pictures import ColorScale, draw_frame
+from omnistereo_tools.output.pictures import FILM, ColorScale, draw_frame
 from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.record.watching import Watching
 
@@ -63,11 +63,17 @@ SETTINGS = "recording.json"
 PICTURES = "pictures.json"
 TIMES = "times.json"
 _SAMPLE = 4096  # bytes
-# What browsers play, at a quality that cannot be told from the pictures.
+# What browsers play, at a quality that can hardly be told from the pictures, of at most 20 MB a
+# minute: 2.4 Mbit/s are 18.
 CODECS = {
-    ".mp4": ("libx264", {"crf": "18"}, {"movflags": "faststart"}),
-    ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "row-mt": "1", "cpu-used": "4"}, {}),
+    ".mp4": (
+        "libx264",
+        {"crf": "20", "maxrate": "2400k", "bufsize": "1200k"},
+        {"movflags": "faststart"},
+    ),
+    ".webm": ("libvpx-vp9", {"crf": "30", "b": "2400k", "row-mt": "1", "cpu-used": "4"}, {}),
 }
+_TURN = 2 * np.pi / 30  # radians per second of the video, of the eye around the rig
 # FFmpeg converts RGB by the matrix of BT.601; without the tag a browser takes BT.709's.
 _BT601, _VIDEO_RANGE = 6, 1
 _FPS = 10.0  # of pictures, which do not say
@@ -81,7 +87,7 @@ class DepthWriter:
     recording: Recording
     sweep: SphereSweep
     method: Method
-    with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
+    with_video: bool  #: keep a picture of every frame for `write_video`
     precision: Precision = "auto"  #: of networks; see `kept_precision`
 
     def path(self, kind: str, number: int) -> Path:
@@ -97,9 +103,14 @@ class DepthWriter:
         try:
             whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
             read_poses(self.out, number)
-            return whole and (not self.with_video or self.picture(number).size > 0)
+            return whole and (not self.with_video or self.picture(number).shape[1::-1] == FILM)
         except OmnistereoError:
             return False
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames of the video in a second."""
+        return Fraction(self.recording.fps or _FPS).limit_denominator(65535)
 
     def read(self, kind: str, number: int) -> NDArray[np.float32]:
         """Read a panorama of a frame, (H, W); see `path`."""
@@ -229,7 +240,9 @@ class DepthWriter:
             note = f"{self.out.name}, frame {number}, {self.method.name}"
             # the same colours in all frames
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)
-            write_image(self.picture_path(number), draw_frame(depth, None, trusted, scale, note))
+            turn = _TURN * list(self.recording.frames).index(number) / self.rate
+            picture = draw_frame(depth, None, trusted, scale, note, float(turn))
+            write_image(self.picture_path(number), picture)
         write_inverse_depth(self.path("confidence", number), depth.confidence)
         write_inverse_depth(self.path("trust", number), trusted)
         write_inverse_depth(self.path("depth_estimate", number), depth.inverse_depth)
@@ -307,8 +320,14 @@ def stored_method(out: Path) -> str | None:
 
 
 def write_video(path: Path, writer: DepthWriter) -> float:
-    """Write the pictures of a recording, panorama over depth, as a video: H.264 in .mp4, VP9 in
-    .webm, tagged with its matrix, its index in front, so that browsers show its colours at once.
+    """Write the pictures of a recording as a video; return how many seconds it plays."""
+    pictures = map(writer.picture, writer.recording.frames)
+    return write_film(path, pictures, writer.rate)
+
+
+def write_film(path: Path, pictures: Iterable[NDArray[np.uint8]], rate: Fraction) -> float:
+    """Write pictures (H, W, 3), BGR, as a video: H.264 in .mp4, VP9 in .webm, tagged with its
+    matrix, its index in front, so that browsers show its colours at once.
 
     Return how many seconds it plays.
 
@@ -316,24 +335,23 @@ def write_video(path: Path, writer: DepthWriter) -> float:
     """
     import av
 
-    numbers = list(writer.recording.frames)
-    height, width = writer.picture(numbers[0]).shape[:2]
-    rate = Fraction(writer.recording.fps or _FPS).limit_denominator(65535)
     codec, quality, front = CODECS[path.suffix.lower()]
     with atomic_write(path) as temporary:
         try:
             with av.open(str(temporary), "w", options=front) as container:
                 stream = container.add_stream(codec, rate=rate, options=quality)
                 assert isinstance(stream, av.VideoStream)
-                stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
                 context = stream.codec_context
                 context.colorspace = context.color_primaries = context.color_trc = _BT601
                 context.color_range = _VIDEO_RANGE
-                for k, number in enumerate(numbers):
-                    frame = av.VideoFrame.from_ndarray(writer.picture(number), "bgr24")
+                for k, picture in enumerate(pictures):
+                    if k == 0:
+                        stream.height, stream.width = picture.shape[:2]
+                        stream.pix_fmt = "yuv420p"
+                    frame = av.VideoFrame.from_ndarray(picture, "bgr24")
                     frame.pts, frame.time_base = k, 1 / rate
                     container.mux(stream.encode(frame))
                 container.mux(stream.encode())
         except (OSError, ValueError) as error:  # what av raises are both
             raise OmnistereoError(f"{path} cannot be written: {error}") from None
-    return float(len(numbers) / rate)
+    return float((k + 1) / rate)

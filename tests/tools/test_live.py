@@ -29,7 +29,7 @@ from omnistereo_tools.live_view import (
     live_pictures,
     serve,
 )
-from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.pictures import FILM, ColorScale, panes
 
 FRAMES = 5
 # nearer, one camera alone sees some rays
@@ -57,13 +57,23 @@ def decode(jpeg):
     return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
 
 
-def test_pictures_show_panorama_over_depth(recorded):
+def parts(jpeg):
+    """The panorama and the depth beside it."""
+    top, height = panes(GRID)
+    return np.split(decode(jpeg)[top : top + height], 2, axis=1)
+
+
+def place_of(row, column, part=0):
+    """Where a ray is in a picture, 0 to 1; part 1 is the depth."""
+    top, height = panes(GRID)
+    return (column + 0.5) / 96 / 2 + part / 2, (top + (row + 0.5) / 24 * height) / FILM[1]
+
+
+def test_pictures_show_the_panorama_and_its_depth(recorded):
     rig, _, videos = recorded
     pictures = list(live_pictures(Cameras(videos, rig), SphereSweep(rig, GRID), "zncc"))
     assert 1 <= len(pictures) <= FRAMES  # who is slow misses frames
-    pixels = decode(pictures[-1].jpeg)
-    height = round(pictures[-1].rows * len(pixels))
-    panorama, depth = pixels[:height], pixels[height : 2 * height]
+    panorama, depth = parts(pictures[-1].jpeg)
     first = [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos]
     truth = osl.estimate_depth(osl.Frame.of(rig, first), GRID, "zncc")
     small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
@@ -84,7 +94,7 @@ def test_a_video_begins_to_play_when_the_first_depth_was_computed(recorded, monk
 
     monkeypatch.setattr(live_view, "sweep_depth", slow_at_first)
     first = next(iter(live_pictures(Cameras(videos, rig), SphereSweep(rig, GRID), "zncc")))
-    assert len(calls) >= 2 and decode(first.jpeg)[:200].std() > 20
+    assert len(calls) >= 2 and parts(first.jpeg)[0].std() > 20
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +112,7 @@ def picture(recorded):
 
 def test_doubtful_rays_are_faded(picture):
     depth, shown = picture
-    rows = round(len(decode(shown.jpeg)) * shown.rows)
-    colors = cv2.resize(decode(shown.jpeg)[rows : 2 * rows], (96, 24), interpolation=cv2.INTER_AREA)
+    colors = cv2.resize(parts(shown.jpeg)[1], (96, 24), interpolation=cv2.INTER_AREA)
     expected = cv2.cvtColor(ColorScale(0.0, 1.3).colorize(depth.inverse_depth), cv2.COLOR_RGB2BGR)
     off = np.abs(colors.astype(int) - expected).mean((0, 2))
     assert off[:47].mean() > 25 and off[49:].mean() < 8
@@ -113,14 +122,14 @@ def test_the_depth_below_the_pointer_is_told(picture):
     depth, shown = picture
     row, column = 17, 40
     for part in (0, 1):  # the panorama and the depth below it
-        told = shown.depth_at((column + 0.5) / 96, (part + (row + 0.5) / 24) * shown.rows)
+        told = shown.depth_at(*place_of(row, column, part))
         assert told == f"{depth.depth[row, column]:.2f} m along the ray"
-    assert shown.depth_at(0.0, 0.0) == "no depth here" and shown.depth_at(0.5, 0.99) == ""
+    assert shown.depth_at(*place_of(0, 0)) == "no depth here" and shown.depth_at(0.5, 0.99) == ""
 
 
 def test_why_a_ray_has_its_depth_is_told_as_on_the_page_of_a_frame(picture):
     depth, shown = picture
-    told = shown.why_at((40 + 0.5) / 96, (17 + 0.5) / 24 * shown.rows)
+    told = shown.why_at(*place_of(17, 40))
     assert told == explain(depth, column=40, row=17).sentence and shown.why_at(0.5, 0.99) == ""
 
 
@@ -154,7 +163,7 @@ def test_the_browser_gets_a_stream_and_depths(picture):
         assert latest.watched.wait(60)
         latest.put(shown)
         told = urllib.request.urlopen(
-            address + f"depth?{40.5 / 96}&{17.5 / 24 * shown.rows}", timeout=60
+            address + "depth?{}&{}".format(*place_of(17, 40)), timeout=60
         ).read()
         latest.close()
         streamed = stream.read()
@@ -249,7 +258,7 @@ def test_a_client_that_does_not_read_is_left(monkeypatch, picture):
         with socket.create_connection(("127.0.0.1", port), 60) as client:
             client.sendall(b"GET /stream HTTP/1.0\r\nHost: localhost\r\n\r\n")
             assert client.recv(4) == b"HTTP"
-            latest.put(LivePicture(bytes(1 << 26), depth, 0.5))  # more than the system keeps for it
+            latest.put(LivePicture(bytes(1 << 26), depth))  # more than the system keeps for it
             deadline = time.monotonic() + 60
             while any("process_request" in thread.name for thread in threading.enumerate()):
                 assert time.monotonic() < deadline, "its thread still waits"

@@ -7,6 +7,7 @@ import shutil
 import signal
 import struct
 from dataclasses import replace
+from fractions import Fraction
 from types import SimpleNamespace
 
 import cv2
@@ -26,7 +27,7 @@ from omnistereo_tools.input.sources import Recording, open_sources
 from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
-from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
+from omnistereo_tools.output.pictures import FILM, colorize_depth, panes
 from omnistereo_tools.record import recordings
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -121,10 +122,9 @@ def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorde
 
 def test_doubtful_rays_are_faded_in_the_video(done):
     picture = read_image(done / "video" / "00003.jpg")
-    rows = round(share_of_panorama(picture) * len(picture))
-    picture = cv2.resize(picture[rows : 2 * rows], (96, 24), interpolation=cv2.INTER_AREA).astype(
-        int
-    )
+    top, rows = panes(GRID)
+    shown = np.split(picture[top : top + rows], 2, 1)[1]
+    picture = cv2.resize(shown, (96, 24), interpolation=cv2.INTER_AREA).astype(int)
     inverse, trusted = (
         read_inverse_depth(done / f"{kind}_96" / "00003.tiff")
         for kind in ("depth_estimate", "trust")
@@ -134,18 +134,27 @@ def test_doubtful_rays_are_faded_in_the_video(done):
     assert (trusted < 0.5).sum() > 20 and off[trusted < 0.5].mean() > 3 * off[trusted >= 0.5].mean()
 
 
-def test_the_video_has_every_frame_panorama_over_depth(done):
+def test_the_video_has_every_frame_with_panorama_and_depth(done):
     video = cv2.VideoCapture(str(done / "depth.mp4"))
     frames = []
     while (read := video.read())[0]:
         frames.append(read[1])
-    rows = round(share_of_panorama(frames[0]) * len(frames[0]))
-    assert len(frames) == FRAMES and frames[0].shape[1] == 2 * 96 and rows == 2 * 24
-    assert frames[0][:rows].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
-    gray, colored = (
-        np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0][: 2 * rows], 2)
-    )
-    assert gray < 10 < colored  # the scene is gray
+    top, rows = panes(GRID)
+    assert len(frames) == FRAMES and frames[0].shape[1::-1] == FILM and rows == 240
+    first = frames[0].astype(int)
+    assert np.abs(first[:top] - frames[-1][:top]).mean() > 1  # the eye turns
+    parts = np.split(first[top : top + rows], 2, axis=1)
+    gray, colored = (np.ptp(part, axis=-1).mean() for part in parts)
+    assert parts[0].std() > 20 and gray < 10 < colored  # the scene is gray
+
+
+def test_a_minute_of_video_takes_at_most_20_mb(tmp_path):
+    """Of noise, which no codec can make small."""
+    rng, rate = np.random.default_rng(0), Fraction(5)
+    noise = rng.integers(0, 256, (4, 270, 480, 3), np.uint8)
+    pictures = (cv2.resize(noise[k % 4], FILM) for k in range(30))
+    seconds = recordings.write_film(tmp_path / "noise.mp4", pictures, rate)
+    assert (tmp_path / "noise.mp4").stat().st_size / seconds * 60 < 20e6
 
 
 def test_a_video_with_two_circles_is_two_cameras(tmp_path):
@@ -196,7 +205,7 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     folder = out / "depth_estimate_96"
     video = ["--video", out / "depth.mp4"]
     assert run(*record_command(recorded, out), *video, "--frames", ":4") == 0
-    assert "depth.mp4: panorama over depth, 3 frames, 0.3 s\n" in capsys.readouterr().out
+    assert "depth.mp4: 3 frames, 0.3 s\n" in capsys.readouterr().out
     halfway = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.tiff")}
     for torn in (folder / "00001.tiff", out / "video" / "00002.jpg"):  # as after a power cut
         torn.write_bytes(torn.read_bytes()[:-9])
@@ -384,7 +393,7 @@ def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, ca
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     # Longer files cannot be written, as on a full disk; those that are there stay.
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 8, limits[1]))
     try:
         for path in (done / "depth.mp4", tmp_path / "depth.webm"):
             assert run(*record_command(recorded, done), "--video", path) == 2
@@ -398,7 +407,7 @@ def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, ca
 class Colors:
     """Stands for a recording, whose pictures have three colours, one beside the other."""
 
-    recording = SimpleNamespace(frames=range(3), fps=29.97)
+    recording, rate = SimpleNamespace(frames=range(3)), Fraction("29.97")
 
     def picture(self, number):
         return np.repeat(np.array([SATURATED], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
