@@ -43,10 +43,6 @@ def _one(data: Section, path: Path) -> list[Section]:
     return [data]
 
 
-def _listed(key: str) -> Callable[[Section, Path], list[Section]]:
-    return lambda data, path: [*data.sections(key).values()]
-
-
 def _having(*keys: str) -> Callable[[Section, Path], list[Section]]:
     """Return the mappings that have one of the keys."""
     return lambda data, path: [
@@ -238,43 +234,31 @@ _AHEAD = 180.0
 _DIVIDES = {"kb4": _AHEAD}
 _RECALIBRATE = "Recalibrate without"
 
+# Rows, in the order in which they are tried; fields on a line belong together.
+# fmt: off
 _COLMAP = Dialect(
-    name="COLMAP rig",
-    what="rig_config.json with cameras.txt beside it",
-    recognises=_items("cameras", "image_prefix"),
-    cameras=colmap.config_cameras,
-    model="camera_model_name",
-    models=colmap.MODELS,
-    size="width height",
-    poses=(colmap.POSE,),
-    measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
-    origin=0.5,
+    name="COLMAP rig", what="rig_config.json with cameras.txt beside it",
+    recognises=_items("cameras", "image_prefix"), cameras=colmap.config_cameras,
+    model="camera_model_name", models=colmap.MODELS, size="width height", origin=0.5,
+    poses=(colmap.POSE,), measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
 )
-
-# In the order in which they are tried.
 DIALECTS = (
     Dialect(
         name="basalt JSON",
         what="ds, eucm, ucm, kb4, pinhole, pinhole-radtan8 and fov. Masks camN/mask.png beside the "
-        "file are read, too: N from 0, bright = valid",
-        recognises=_has("value0"),
-        cameras=_basalt,
-        model="camera_type",
-        models={name: (name, _BY_NAME) for name in ("ds", "eucm", "ucm", "kb4", "fov")}
-        | {
+             "file are read, too: N from 0, bright = valid",
+        recognises=_has("value0"), cameras=_basalt, mask=lambda cam, n: f"cam{n}/mask.png",
+        model="camera_type", poses=(Way("T_imu_cam"),), unit="metres",
+        models={name: (name, _BY_NAME) for name in ("ds", "eucm", "ucm", "kb4", "fov")} | {
             "pinhole-radtan8": ("pinhole", _BY_NAME),
             "pinhole": ("pinhole", {f"intrinsics.{name}": name for name in PINHOLE}),
         },
-        poses=(Way("T_imu_cam"),),
-        unit="metres",
-        mask=lambda cam, n: f"cam{n}/mask.png",
     ),
     Dialect(
         name="Kalibr camchain",
         what="ds, eucm, omni, or pinhole with equidistant, radtan or fov; also one camera, and "
-        "EuRoC's folders camN with sensor.yaml",
-        recognises=_inside("camera_model", "intrinsics"),
-        cameras=_chain,
+             "EuRoC's folders camN with sensor.yaml",
+        recognises=_inside("camera_model", "intrinsics"), cameras=_chain,
         model="camera_model distortion_model=none",
         aliases={"equi": "equidistant", "plumb_bob": "radtan", "radial-tangential": "radtan"},
         models={
@@ -287,204 +271,120 @@ DIALECTS = (
             "pinhole + fov": ("fov", {"intrinsics": PINHOLE, _NONE: ("w",)}),
             "pinhole + none": ("pinhole", {"intrinsics": PINHOLE, _NONE: ()}),
         },
-        poses=(
-            Way("T_cn_cnm1", to_camera=True, parent="previous"),
-            Way("T_cam_imu", to_camera=True),
-            Way("T_imu_cam"),
-            Way("T_BS"),
-        ),
-        unit="metres",
-        measured_deg=_DIVIDES,
-        first_is_rig=True,
+        poses=(Way("T_cn_cnm1", to_camera=True, parent="previous"),
+               Way("T_cam_imu", to_camera=True), Way("T_imu_cam"), Way("T_BS")),
+        unit="metres", first_is_rig=True, measured_deg=_DIVIDES,
     ),
     Dialect(
         name="VINS configuration",
         what="with `body_T_cam0`, …, and the camodocal files that `cam0_calib`, … name",
-        recognises=_has("body_T_cam0"),
-        cameras=_vins,
-        model="model_type",
-        models=_CAMODOCAL,
-        size="image_width image_height",
-        poses=(Way("body_T_cam"),),
-        unit="metres",
-        settings=True,
+        recognises=_has("body_T_cam0"), cameras=_vins, settings=True,
+        model="model_type", models=_CAMODOCAL, size="image_width image_height",
+        poses=(Way("body_T_cam"),), unit="metres",
     ),
     Dialect(
-        name="camodocal camera",
-        what="MEI, KANNALA_BRANDT or PINHOLE",
-        recognises=_has("model_type"),
-        cameras=_one,
-        model="model_type",
-        models=_CAMODOCAL,
-        size="image_width image_height",
-        unit="",
+        name="camodocal camera", what="MEI, KANNALA_BRANDT or PINHOLE",
+        recognises=_has("model_type"), cameras=_one,
+        model="model_type", models=_CAMODOCAL, size="image_width image_height", unit="",
     ),
     Dialect(
         name="nerfstudio",
         what="transforms.json, each frame a camera, or folders of frames: OPENCV, OPENCV_FISHEYE "
-        "or PINHOLE, and masks",
-        recognises=_items("frames", "transform_matrix"),
-        cameras=_frames,
-        model="camera_model",
+             "or PINHOLE, and masks",
+        recognises=_items("frames", "transform_matrix"), cameras=_frames,
+        mask=lambda cam, n: cam.get("mask_path"), size="w h", origin=0.5, model="camera_model",
         models=dict.fromkeys(("opencv", "pinhole", "simple_pinhole"), ("pinhole", _FL_RADTAN))
         | {"opencv_fisheye": ("kb4", _FL | {f"{key}?": key for key in FISHEYE})},
-        size="w h",
-        poses=(_TRANSFORM,),
-        measured_deg=_DIVIDES,
-        values={
-            "is_fisheye": Value((), "Write camera_model: OPENCV_FISHEYE in its place"),
-            "applied_scale": Value((1,), "Divide the translations by it, and delete it"),
-        },
-        origin=0.5,
-        mask=lambda cam, n: cam.get("mask_path"),
+        poses=(_TRANSFORM,), measured_deg=_DIVIDES,
+        values={"is_fisheye": Value((), "Write camera_model: OPENCV_FISHEYE in its place"),
+                "applied_scale": Value((1,), "Divide the translations by it, and delete it")},
     ),
     Dialect(
-        name="Gyroflow lens profile",
-        what="of one camera, opencv_fisheye, not stretched",
-        recognises=_has("fisheye_params"),
-        cameras=_one,
-        model="distortion_model=opencv_fisheye",
-        models={
-            "opencv_fisheye": (
-                "kb4",
-                {"fisheye_params.camera_matrix": K9, "fisheye_params.distortion_coeffs": FISHEYE},
-            )
-        },
-        size="calib_dimension.w calib_dimension.h",
-        unit="",
-        measured_deg=_DIVIDES,
-        values=dict.fromkeys(
-            ("input_horizontal_stretch", "input_vertical_stretch"), Value((1,), _RECALIBRATE)
-        )
-        | {"digital_lens": Value((), _RECALIBRATE)},
-        settings=True,
+        name="Gyroflow lens profile", what="of one camera, opencv_fisheye, not stretched",
+        recognises=_has("fisheye_params"), cameras=_one, settings=True,
+        model="distortion_model=opencv_fisheye", size="calib_dimension.w calib_dimension.h",
+        models={"opencv_fisheye": ("kb4", {"fisheye_params.camera_matrix": K9,
+                                           "fisheye_params.distortion_coeffs": FISHEYE})},
+        unit="", measured_deg=_DIVIDES,
+        values={"input_horizontal_stretch": Value((1,), _RECALIBRATE),
+                "input_vertical_stretch": Value((1,), _RECALIBRATE),
+                "digital_lens": Value((), _RECALIBRATE)},
     ),
     Dialect(
-        name="Anipose, Caliscope",
-        what="calibration.toml, fisheye or not; rig → camera",
-        recognises=_inside("matrix", "distortions", "size"),
-        cameras=_having("matrix"),
-        model="fisheye=false",
-        aliases={"0": "false", "1": "true"},
-        models={
-            "true": ("kb4", {"matrix": K9, "distortions": FISHEYE}),
-            "false": ("pinhole", {"matrix": K9, "distortions": RADTAN[:5]}),
-        },
-        size="size",
-        poses=(Way("rotation translation", to_camera=True),),
+        name="Anipose, Caliscope", what="calibration.toml, fisheye or not; rig → camera",
+        recognises=_inside("matrix", "distortions", "size"), cameras=_having("matrix"),
+        model="fisheye=false", aliases={"0": "false", "1": "true"}, size="size",
+        models={"true": ("kb4", {"matrix": K9, "distortions": FISHEYE}),
+                "false": ("pinhole", {"matrix": K9, "distortions": RADTAN[:5]})},
+        poses=(Way("rotation translation", to_camera=True),), measured_deg=_DIVIDES,
         values={"ignore": Value((), "Delete the camera from the file")},
-        measured_deg=_DIVIDES,
     ),
     Dialect(
-        name="DepthAI",
-        what="the calibration of a device: fisheye, perspective",
-        recognises=_has("cameraData"),
-        cameras=_sockets,
-        model="cameraType",
-        aliases={"0": "perspective", "1": "fisheye"},
-        models={
-            "fisheye": ("kb4", {"intrinsicMatrix": K9, "distortionCoeff": FISHEYE}),
-            "perspective": ("pinhole", {"intrinsicMatrix": K9, "distortionCoeff": RADTAN}),
-        },
-        size="width height",
-        poses=(
-            Way(
-                "extrinsics.rotationMatrix extrinsics.translation",
-                parent="extrinsics.toCameraSocket",
-            ),
-        ),
-        unit="centimetres",
-        measured_deg=_DIVIDES,
-        settings=True,
+        name="DepthAI", what="the calibration of a device: fisheye, perspective",
+        recognises=_has("cameraData"), cameras=_sockets, settings=True,
+        model="cameraType", aliases={"0": "perspective", "1": "fisheye"}, size="width height",
+        models={"fisheye": ("kb4", {"intrinsicMatrix": K9, "distortionCoeff": FISHEYE}),
+                "perspective": ("pinhole", {"intrinsicMatrix": K9, "distortionCoeff": RADTAN})},
+        poses=(Way("extrinsics.rotationMatrix extrinsics.translation",
+                   parent="extrinsics.toCameraSocket"),),
+        unit="centimetres", measured_deg=_DIVIDES,
     ),
     Dialect(
         name="Project Aria",
         what="CameraCalibrations with FisheyeRadTanThinPrism and their image size; device ← camera",
-        recognises=_items("CameraCalibrations", "Projection"),
-        cameras=_listed("CameraCalibrations"),
-        model="Projection.Name",
-        models={
-            "fisheyeradtanthinprism": (
-                "fisheye624",
-                {"Projection.Params": ("f", "cx", "cy", *FISHEYE624)},
-            ),
-            "kannalabrandtk3": ("kb4", {"Projection.Params": (*PINHOLE, *FISHEYE)}),
-        },
-        size="ImageSize|image_size|ImageSizes|resolution",
-        poses=(
-            Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation", is_quaternion=True),
-        ),
-        unit="metres",
-        measured_deg={"fisheye624": _AHEAD},
-        settings=True,
+        recognises=_items("CameraCalibrations", "Projection"), settings=True,
+        cameras=lambda data, path: [*data.sections("CameraCalibrations").values()],
+        model="Projection.Name", size="ImageSize|image_size|ImageSizes|resolution",
+        models={"fisheyeradtanthinprism": ("fisheye624",
+                                           {"Projection.Params": ("f", "cx", "cy", *FISHEYE624)}),
+                "kannalabrandtk3": ("kb4", {"Projection.Params": (*PINHOLE, *FISHEYE)})},
+        poses=(Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation",
+                   is_quaternion=True),),
+        unit="metres", measured_deg={"fisheye624": _AHEAD},
     ),
     Dialect(
         name="DriveWorks rig",
         what="cameras with an f-theta polynomial and nominalSensor2Rig_FLU",
-        recognises=_items("sensors", "properties"),
-        cameras=_sensors,
-        model="properties.Model",
-        models={"ftheta": ("ftheta", _f_theta)},
+        recognises=_items("sensors", "properties"), cameras=_sensors, settings=True,
+        model="properties.Model", models={"ftheta": ("ftheta", _f_theta)},
         size="properties.width properties.height",
-        poses=(Way("R nominalSensor2Rig_FLU.t", FLU),),
-        values=dict.fromkeys(
-            ("correction_sensor_R_FLU", "correction_rig_T"),
-            Value((), "Add it to nominalSensor2Rig_FLU, and delete it"),
-        ),
-        unit="metres",
-        settings=True,
+        poses=(Way("R nominalSensor2Rig_FLU.t", FLU),), unit="metres",
+        values=dict.fromkeys(("correction_sensor_R_FLU", "correction_rig_T"),
+                             Value((), "Add it to nominalSensor2Rig_FLU, and delete it")),
     ),
     Dialect(
-        name="Metashape lens",
-        what="XML of one camera",
-        recognises=_has("calibration"),
+        name="Metashape lens", what="XML of one camera", recognises=_has("calibration"),
         cameras=lambda data, path: [data.add("", data.require("calibration"), "calibration")],
-        model="projection=frame",
+        model="projection=frame", size="width height", unit="",
         models={word: (f"metashape {ours}", _metashape) for word, ours in _FISHEYES.items()},
-        size="width height",
-        unit="",
         measured_deg={f"metashape {ours}": _AHEAD for ours in _FISHEYES.values()},
     ),
     _COLMAP,
     replace(
-        _COLMAP,
-        name="COLMAP model",
+        _COLMAP, name="COLMAP model", first_is_rig=True,
         what="a folder with `cameras.txt` and `images.txt`, and `rigs.txt` where there is one",
-        recognises=lambda data: False,
-        cameras=colmap.model_cameras,
-        first_is_rig=True,
+        recognises=lambda data: False, cameras=colmap.model_cameras,
     ),
     Dialect(
-        name="MC-Calib",
-        what="calibrated_cameras_data.yml, pinhole and fisheye",
+        name="MC-Calib", what="calibrated_cameras_data.yml, pinhole and fisheye",
         recognises=_inside("camera_matrix", "camera_pose_matrix"),
-        cameras=_having("camera_pose_matrix"),
-        model="distortion_type",
-        models={
-            "0": ("pinhole", {"camera_matrix": K9, "distortion_vector": RADTAN[:5]}),
-            "1": ("kb4", {"camera_matrix": K9, "distortion_vector": FISHEYE}),
-        },
-        size="img_width img_height",
-        poses=(Way("camera_pose_matrix"),),
-        measured_deg=_DIVIDES,
+        cameras=_having("camera_pose_matrix"), model="distortion_type", size="img_width img_height",
+        models={"0": ("pinhole", {"camera_matrix": K9, "distortion_vector": RADTAN[:5]}),
+                "1": ("kb4", {"camera_matrix": K9, "distortion_vector": FISHEYE})},
+        poses=(Way("camera_pose_matrix"),), measured_deg=_DIVIDES,
         values={"camera_group": Value((), "No pose connects it to the cameras of another group")},
     ),
     # Last: its keys are in other dialects, too.
     Dialect(
         name="OpenCV, ROS",
         what="K, D, R, T and the size of each camera, or lists of each: fisheye, omnidirectional "
-        "(`xi`), plumb_bob or rational; double_sphere, eucm, fov by their parameters; also XML, "
-        "TOML, npz",
-        recognises=opencv.is_opencv,
-        cameras=opencv.cameras,
-        model="model",
-        models=opencv.MODELS,
-        aliases=opencv.ALIASES,
-        size=opencv.SIZE,
-        poses=(Way(opencv.POSE, to_camera=True, first_may_lack=True),),
-        measured_deg=_DIVIDES,
-        values=dict.fromkeys(
-            ("binning_x", "binning_y"), Value((1,), "Calibrate the images at their own size")
-        ),
+             "(`xi`), plumb_bob or rational; double_sphere, eucm, fov by their parameters; also "
+             "XML, TOML, npz",
+        recognises=opencv.is_opencv, cameras=opencv.cameras,
+        model="model", models=opencv.MODELS, aliases=opencv.ALIASES, size=opencv.SIZE,
+        poses=(Way(opencv.POSE, to_camera=True, first_may_lack=True),), measured_deg=_DIVIDES,
+        values=dict.fromkeys(("binning_x", "binning_y"),
+                             Value((1,), "Calibrate the images at their own size")),
     ),
 )
+# fmt: on

@@ -4,7 +4,6 @@ import logging
 import re
 import tomllib
 import warnings
-import zipfile
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from io import BytesIO
@@ -39,19 +38,10 @@ from omnistereo_rigs.formats.table import METRES, Dialect, Found, interpret
 _log = logging.getLogger("omnistereo_lib")
 
 _ROWS = {row.name: row for row in DIALECTS}
-_RIG_FILES = (
-    "config.yaml",
-    "rig.yaml",
-    "calibration.json",
-    "calibration.yaml",
-    "calibration.toml",
-    "rig_config.json",
-    "transforms.json",
-)
+_SUPPORTED = f"supported formats: OmniMVS config.yaml; {'; '.join(_ROWS)}; folders with poses.txt"
+_RIG_FILES = ["config.yaml", "rig.yaml", "calibration.json", "calibration.yaml", "calibration.toml"]
+_RIG_FILES += ["rig_config.json", "transforms.json"]
 _COLMAP = ("cameras.txt", "images.txt")
-# What NumPy raises for a file that is none of its own.
-_BROKEN: tuple[type[Exception], ...] = (ValueError, OSError, EOFError, KeyError, TypeError)
-_BROKEN += (zipfile.BadZipFile, NotImplementedError)
 _FAR = 1000.0  # metres
 _MAX_SHIFT_S = 1e-3  # between the clocks of cameras; beyond it equal stamps are not one moment
 
@@ -123,21 +113,19 @@ def read_rig(
     """
     path = as_path(path)
     check_options(unit, max_fov_deg)
-    if (own := _own(path, unit, max_fov_deg)) is not None:
+    if (own := read_own(path, unit, max_fov_deg)) is not None:
         rig = _finished(own, path, unit, keep_frame)
         return RigReading(rig, own.name, "metres" if own.in_metres else "", (), ())
-    file, name, scale, found = _read(path)
+    file, found = _read(path)
     with error_context(file):
-        fitted = _fitted(found, max_fov_deg)
-        poses = [Pose(pose.R, (scale or 1.0) * pose.t) for pose in found.T_rig_cam]
-        cameras, residuals = ([*each] for each in zip(*fitted, strict=True))
-        read = RigFile(cameras, poses, name=name, in_metres=scale is not None)
+        cameras, residuals = zip(*_fitted(found, max_fov_deg), strict=True)
+        scale = METRES.get(found.unit, 1.0)
+        poses = [Pose(pose.R, scale * pose.t) for pose in found.T_rig_cam]
+        read = RigFile(cameras, poses, name=found.name, in_metres=found.unit != "")
     rig = _finished(read, file, unit, keep_frame)
     offsets = found.clock_offsets_s
     _warn_of_clocks(offsets, file)
-    stated = None if offsets is None else tuple(map(float, offsets))
-    of_format = next((word for word, metres in METRES.items() if metres == scale), "")
-    return RigReading(rig, name, of_format, found.lenses, residuals, stated)
+    return RigReading(rig, found.name, found.unit, found.lenses, residuals, offsets)
 
 
 def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
@@ -169,23 +157,11 @@ def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[Oca
     files = numbered_files(path, "ocam*.txt", "cam[0-9]*.*") if path.is_dir() else []
     if files and not (path / "config.yaml").exists():
         return [read_any_camera(file, max_fov_deg) for file in files]
-    if (own := _own(path, None, max_fov_deg)) is not None:
+    if (own := read_own(path, None, max_fov_deg)) is not None:
         return [*own.cameras]
-    file, _, _, found = _read(path)
+    file, found = _read(path)
     with error_context(file):
         return [camera for camera, _ in _fitted(found, max_fov_deg)]
-
-
-def _supported() -> str:
-    names = "; ".join(row.name for row in DIALECTS)
-    return f"supported formats: OmniMVS config.yaml; {names}; folders with poses.txt"
-
-
-def _own(path: Path, unit: str | None, max_fov_deg: float | None) -> RigFile | None:
-    """Return what a file of our format holds, if it is one; its other suffixes are read here."""
-    if path.is_dir() or path.suffix in (".txt", ".yaml", ".yml", ".json", ""):
-        return read_own(path, unit, max_fov_deg)
-    return None
 
 
 def _fitted(found: Found, max_fov_deg: float | None) -> list[tuple[OcamCamera, float]]:
@@ -237,7 +213,9 @@ def _compare_sources(rig: Rig, path: Path) -> None:
 
 def _warn_of_clocks(offsets: Sequence[float] | None, path: Path) -> None:
     """Warn where equal time stamps of the cameras are not one moment."""
-    late = np.array(offsets or [0.0]) - np.median(offsets or [0.0])
+    if offsets is None:
+        return
+    late = np.array(offsets) - np.median(offsets)
     worst = int(np.argmax(np.abs(late)))
     if abs(late[worst]) > _MAX_SHIFT_S:
         warnings.warn(
@@ -248,10 +226,8 @@ def _warn_of_clocks(offsets: Sequence[float] | None, path: Path) -> None:
         )
 
 
-def _read(path: Path) -> tuple[Path, str, float | None, Found]:
-    """Return the file or folder that is read, the name of its format, the metres of its unit, None
-    where that is not stated, and what it holds.
-    """
+def _read(path: Path) -> tuple[Path, Found]:
+    """Return the file or folder that is read, and what it holds."""
     is_folder = path.is_dir()
     if is_folder and (path / "mav0").is_dir():
         path = path / "mav0"
@@ -260,32 +236,32 @@ def _read(path: Path) -> tuple[Path, str, float | None, Found]:
     is_model = is_folder and all((path / name).exists() for name in _COLMAP)
     if path.name in _COLMAP or (is_model and "rig_config.json" not in names):
         folder = path if is_folder else path.parent
-        return folder, *_interpreted(_ROWS["COLMAP model"], {}, folder)
+        return folder, _interpreted(_ROWS["COLMAP model"], {}, folder)
     if is_folder and (path / "cameras.bin").exists() and find_spec("pycolmap"):
         import pycolmap
 
         with error_context(path), TemporaryDirectory() as text:
             pycolmap.Reconstruction(path).write_text(text)
-            return path, *_interpreted(_ROWS["COLMAP model"], {}, Path(text))
+            return path, _interpreted(_ROWS["COLMAP model"], {}, Path(text))
     if is_folder and (files := sorted(path.glob("cam*/sensor.yaml"))):  # EuRoC's
         check_count(len(files))
         data = {file.parent.name: read_data(file, MAX_BYTES) for file in files}
-        return path, *_interpreted(_ROWS["Kalibr camchain"], data, path)
+        return path, _interpreted(_ROWS["Kalibr camchain"], data, path)
     if is_folder and not names and (files := numbered_files(path, "cam[0-9]*.*")):
         poses, lenses = poses_beside(path, files), list[Lens]()
         for file in files:
-            found = _read_file(file)[-1].lenses
+            found = _read_file(file).lenses
             if len(found) != 1:
                 raise OmnistereoError(f"{file}: {len(found)} cameras; expected one in each file")
             lenses += found
-        return path, "folder of camera files", None, Found(lenses, poses)
+        return path, Found("folder of camera files", lenses, poses)
     if len(names) > 1:
         pass_one = f"{names[0]} is read. Pass the file that is meant"
         warnings.warn(f"{path}: found {' and '.join(names)}; {pass_one}", stacklevel=3)
     file = path / names[0] if names else path
     if file.is_dir():
         raise _no_rig(file)
-    return file, *_read_file(file)
+    return file, _read_file(file)
 
 
 def _no_rig(folder: Path) -> OmnistereoError:
@@ -296,28 +272,25 @@ def _no_rig(folder: Path) -> OmnistereoError:
         )
     names = sorted(file.name for file in folder.iterdir())[:8]
     return OmnistereoError(
-        f"{folder}: found {names}; expected ocam*.txt or one of {_RIG_FILES}; {_supported()}"
+        f"{folder}: found {names}; expected ocam*.txt or one of {_RIG_FILES}; {_SUPPORTED}"
     )
 
 
-def _interpreted(
-    row: Dialect, content: dict[str, Any], path: Path
-) -> tuple[str, float | None, Found]:
+def _interpreted(row: Dialect, content: dict[str, Any], path: Path) -> Found:
     with error_context(path):
         section = Section(content)
         found = interpret(row, section, path)
         if settings := section.warn(path, row.settings):
             _log.info("%s: keys of the program, not of cameras: %s", path, ", ".join(settings))
-    return row.name, METRES.get(row.unit), found
+    return found
 
 
-def _read_file(path: Path) -> tuple[str, float | None, Found]:
-    """Return the name of the format of a file, the metres of its unit, and what it holds."""
+def _read_file(path: Path) -> Found:
     with error_context(path):
         if path.suffix == ".txt":
             raise OmnistereoError(
                 "a text file holds one OCam camera, ocam1.txt, …, or the poses. Pass the folder of "
-                f"a rig; {_supported()}"
+                f"a rig; {_SUPPORTED}"
             )
         data = _content(path)
         layers = [*_layers(data)]
@@ -325,45 +298,36 @@ def _read_file(path: Path) -> tuple[str, float | None, Found]:
         for row in DIALECTS:
             if row.recognises(content):
                 return _interpreted(row, content, path)
-    # The keys of the file, of the items of its list, or of what is in it.
-    listed = data if isinstance(data, list) else [*(layers[0].values() if layers else ())]
-    keys = sorted(map(str, layers[0] if layers and not isinstance(data, list) else ()))[:8]
+    top = data if isinstance(data, dict) else {}
+    listed = data if isinstance(data, list) else top.values()
+    keys = sorted(map(str, top))[:8]
     inner = sorted({str(key) for item in listed if isinstance(item, dict) for key in item})[:8]
     raise OmnistereoError(
         f"{path}: unknown format, found the keys {keys}, and in them {inner}. Write K, D, R, T and "
-        f"the size of each camera as OpenCV names them; {_supported()}"
+        f"the size of each camera as OpenCV names them; {_SUPPORTED}"
     )
 
 
 def _content(path: Path) -> Any:
     """Return the content of a file as Python values."""
     suffix = path.suffix.lower()
-    if suffix == ".toml":
-        # Writers of before NumPy 2 print its numbers as they are, later ones do not.
-        text = re.sub(r"\bnp\.(?:float|int)[0-9]*\(([^()\s]+)\)", r"\1", read_text(path, MAX_BYTES))
-        try:
-            return tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise OmnistereoError(
-                f"not valid TOML ({error}). Check that the file is complete"
-            ) from None
-    if suffix == ".npz":
-        return _arrays(read_bytes(path, MAX_BYTES))
-    return read_data(path, MAX_BYTES)
-
-
-def _arrays(content: bytes) -> dict[str, Any]:
-    """Return the arrays of an npz file as lists."""
     try:
-        with np.load(BytesIO(content), allow_pickle=False) as arrays:
-            if sum(part.file_size for part in arrays.zip.infolist()) > MAX_BYTES:
-                raise OmnistereoError("the arrays are larger than those of any rig")
-            return {name: arrays[name].tolist() for name in arrays.files}
-    except _BROKEN as error:
-        reason = "it holds Python objects" if "pickle" in str(error) else str(error)
-        raise OmnistereoError(
-            f"not an npz file of arrays ({reason}). Write arrays of numbers"
-        ) from None
+        if suffix == ".toml":
+            # Writers of before NumPy 2 print its numbers as they are, later ones do not.
+            number = r"\bnp\.(?:float|int)[0-9]*\(([^()\s]+)\)"
+            return tomllib.loads(re.sub(number, r"\1", read_text(path, MAX_BYTES)))
+        if suffix == ".npz":
+            with np.load(BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False) as arrays:
+                if sum(part.file_size for part in arrays.zip.infolist()) > MAX_BYTES:
+                    raise OmnistereoError("the arrays are larger than those of any rig")
+                return {name: arrays[name].tolist() for name in arrays.files}
+    except OmnistereoError:
+        raise
+    except Exception as error:  # of any kind, where bytes are damaged
+        kind = "valid TOML" if suffix == ".toml" else "an npz file of arrays"
+        reason = "it holds Python objects" if "pickle" in str(error) else error
+        raise OmnistereoError(f"not {kind} ({reason}). Check that the file is complete") from None
+    return read_data(path, MAX_BYTES)
 
 
 def _layers(data: Any) -> Iterator[dict[str, Any]]:

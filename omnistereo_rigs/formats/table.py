@@ -90,9 +90,11 @@ class Dialect:
 class Found(NamedTuple):
     """What a reader finds: lenses, and poses in the unit of the file."""
 
+    name: str  #: of the format
     lenses: Sequence[Lens]
     T_rig_cam: Sequence[Pose] = ()  #: camera → rig
-    clock_offsets_s: Sequence[float] | None = None  #: see `RigReading`
+    unit: str = ""  #: a key of `METRES`, or "" where the format states none
+    clock_offsets_s: tuple[float, ...] | None = None  #: see `RigReading`
 
 
 def in_order(names: Iterable[Any]) -> list[Any]:
@@ -117,8 +119,9 @@ def interpret(row: Dialect, data: Section, path: Path) -> Found:
         with error_context(cam.name or path):
             lenses.append(_lens(row, cam, path, n))
     poses = _poses(row, cams, path) if len(cams) > 1 else []
-    stated = [cam.number("timeshift_cam_imu", default=np.nan) for cam in cams]
-    return Found(lenses, poses, stated if np.isfinite(stated).all() else None)
+    shifts = tuple(cam.number("timeshift_cam_imu", default=np.nan) for cam in cams)
+    unit = row.unit if row.unit in METRES else ""
+    return Found(row.name, lenses, poses, unit, shifts if np.isfinite(shifts).all() else None)
 
 
 def _lens(row: Dialect, cam: Section, path: Path, n: int) -> Lens:

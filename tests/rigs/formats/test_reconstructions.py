@@ -186,7 +186,8 @@ def test_the_rig_of_rigs_txt(tmp_path):
     same(read(tmp_path, None, "m")[0])
 
 
-def test_binary_models_say_what_to_do(tmp_path):
+def test_binary_models_say_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr("omnistereo_rigs.formats.read.find_spec", lambda name: None)
     write(tmp_path / "cameras.bin", "")
     with pytest.raises(OmnistereoError, match=r"Install pycolmap, or type `colmap model_converter"):
         read(tmp_path)
