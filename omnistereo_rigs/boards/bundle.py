@@ -199,6 +199,7 @@ class BundleProblem:
         inliers: NDArray[np.bool_] | None = None,
         loss: Literal["linear", "soft_l1"] = "linear",
         fixed: Literal["nothing", "rig"] = "nothing",
+        degree: int | None = None,
         steps: int = 50,
         tolerance: float = 1e-9,
     ) -> CalibrationParams:
@@ -208,15 +209,20 @@ class BundleProblem:
             inliers: Corners that count, shape (M,). None: all.
             loss: Squares, or robust beyond one pixel.
             fixed: "rig": only the poses of the captures are adjusted.
+            degree: Higher coefficients of the polynomials stay as they are. None: all are adjusted.
             steps: Maximum number of evaluations.
             tolerance: Relative decrease of the cost at which to stop.
         """
         rows = slice(None) if inliers is None else np.flatnonzero(np.repeat(inliers, 2))
         x0 = initial.to_vector()
-        free = slice(initial.num_rig_params if fixed == "rig" else initial.num_fixed, None)
+        first = initial.num_rig_params if fixed == "rig" else initial.num_fixed
+        free = np.arange(first, len(x0))
+        if degree is not None:
+            width, lenses = len(initial.intrinsics[0].vector), initial.num_intrinsics
+            free = free[(free >= lenses) | (free % width < NUM_AFFINE + degree)]
         # In whitened unknowns y the columns of the Jacobian are orthonormal initially, and SciPy's
         # iterative solver is done in ten products instead of several hundred.
-        P = _whitening(self.jacobian(x0)[rows, free])
+        P = _whitening(self.jacobian(x0)[rows][:, free])
 
         def product(A: Floats, v: Floats) -> Floats:
             # not @: on arrays this small BLAS threading costs more than it saves
@@ -228,7 +234,7 @@ class BundleProblem:
             return x
 
         def jacobian(y: Floats) -> LinearOperator:
-            J = self.jacobian(unknowns(y))[rows, free]
+            J = self.jacobian(unknowns(y))[rows][:, free]
             return LinearOperator(
                 J.shape, matvec=lambda v: J @ product(P, v), rmatvec=lambda u: product(P.T, J.T @ u)
             )

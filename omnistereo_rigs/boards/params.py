@@ -134,11 +134,11 @@ class CalibrationParams:
 
     def from_vector(self, x: Floats) -> CalibrationParams:
         """Return the inverse of `to_vector`: cameras and captures as here, values from x."""
-        parts = np.split(x[: self._num_intrinsics], len(self.intrinsics))
+        parts = np.split(x[: self.num_intrinsics], len(self.intrinsics))
         intrinsics = [
             Intrinsics(part, i.image_size) for part, i in zip(parts, self.intrinsics, strict=True)
         ]
-        poses = [Pose.from_vector(theta) for theta in x[self._num_intrinsics :].reshape(-1, 6)]
+        poses = [Pose.from_vector(theta) for theta in x[self.num_intrinsics :].reshape(-1, 6)]
         others = len(self.T_cam_rig) - 1
         T_cam_rig = (Pose.identity(), *poses[:others])
         return CalibrationParams(
@@ -146,20 +146,21 @@ class CalibrationParams:
         )
 
     @property
-    def _num_intrinsics(self) -> int:
+    def num_intrinsics(self) -> int:
+        """Number of unknowns of the lenses, the first ones."""
         return sum(len(i.vector) for i in self.intrinsics)
 
     @property
     def num_fixed(self) -> int:
         """Number of unknowns, the first ones, that are given."""
-        return self._num_intrinsics if self.fixed_intrinsics else 0
+        return self.num_intrinsics if self.fixed_intrinsics else 0
 
     @property
     def num_rig_params(self) -> int:
         """Number of unknowns that describe the rig: the first ones, all but the poses of the
         captures.
         """
-        return self._num_intrinsics + 6 * (len(self.T_cam_rig) - 1)
+        return self.num_intrinsics + 6 * (len(self.T_cam_rig) - 1)
 
     @property
     def num_params(self) -> int:

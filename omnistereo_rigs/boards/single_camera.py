@@ -3,6 +3,7 @@ views, report.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.parse import check_fov, parse_size
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_rigs.boards.board import Board
-from omnistereo_rigs.boards.bundle import bundle_adjust
+from omnistereo_rigs.boards.bundle import BundleProblem, bundle_adjust
 from omnistereo_rigs.boards.checkerboard import Checkerboard, edge_width, suggest_board
 from omnistereo_rigs.boards.detect import detect_views
 from omnistereo_rigs.boards.init import estimate_poses, initial_estimate
@@ -292,7 +293,7 @@ def choose_degree(
     """
     if len(views) < 2 * _FOLDS:
         return DEGREES[0], {}
-    errors = {degree: _cv_errors(params.with_degree(degree), views, points) for degree in DEGREES}
+    errors = _cv_errors(params.with_degree(DEGREES[-1]), views, points)
     best = DEGREES[0]
     for degree in DEGREES[1:]:
         # The gain on each view that was held out. It has to be so much larger than its standard
@@ -305,40 +306,47 @@ def choose_degree(
     return best, {degree: float(error.mean()) for degree, error in errors.items()}
 
 
-def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Floats) -> Floats:
-    """Return the mean distance on each view, px, in the camera fitted without it; only its pose is
-    fitted to it.
+def _cv_errors(
+    params: CalibrationParams, views: Sequence[Floats], points: Floats
+) -> dict[int, Floats]:
+    """Return, for each degree, the mean distance on each view, px, in the camera fitted without it;
+    only its pose is fitted to it.
 
     A distance is limited to three times the median of its view: wrong corners say nothing about the
     degree.
     """
-    errors = np.empty(len(views))
+    errors = {degree: np.zeros(len(views)) for degree in DEGREES}
     for fold in range(_FOLDS):
         held_out = np.arange(len(views)) % _FOLDS == fold
-        train, test = np.flatnonzero(~held_out).tolist(), np.flatnonzero(held_out).tolist()
-        seen, unseen = (
-            collect_observations([[views[k] for k in part]], points) for part in (train, test)
+        parts = [np.flatnonzero(part).tolist() for part in (~held_out, held_out)]
+        train, test = (
+            BundleProblem(
+                params.with_captures(part),
+                collect_observations([[views[k] for k in part]], points),
+            )
+            for part in parts
         )
-        # The camera from two thirds of the views.
-        options = {"loss": "soft_l1", "tolerance": 1e-6}
-        fitted, distance = bundle_adjust(params.with_captures(train), seen, **options)
-        # As far out as inliers reach, the polynomial has to be monotonic, or it is no camera.
-        near = seen.pixels[distance <= OUTLIER * np.median(distance)]
-        reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
-        try:
-            fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
-        # not monotonic where no corners constrain it, such as around the axis of a mirror
-        except OmnistereoError:
-            return np.full(len(views), np.inf)
-        # The other third tells how well it predicts: the camera stays, only the poses of these
-        # boards are found.
-        posed = CalibrationParams(
-            fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board
-        )
-        distance = bundle_adjust(posed, unseen, fixed="rig", **options)[1]
-        for k, view in enumerate(test):
-            here = distance[unseen.capture == k]
-            errors[view] = np.minimum(here, 3 * np.median(here)).mean()
+        for degree, error in errors.items():
+            # The camera from two thirds of the views.
+            options: dict[str, Any] = {"loss": "soft_l1", "tolerance": 1e-6, "degree": degree}
+            fitted = train.adjust(train.initial, **options)
+            distance = train.distances(fitted)
+            # As far out as inliers reach, the polynomial has to be monotonic, or it is no camera.
+            near = train.observations.pixels[distance <= OUTLIER * np.median(distance)]
+            reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
+            try:
+                fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
+            # not monotonic where no corners constrain it, such as around the axis of a mirror
+            except OmnistereoError:
+                error[:] = np.inf
+                continue
+            # The other third tells how well it predicts: the camera stays, only the poses of these
+            # boards are found.
+            posed = replace(test.initial, intrinsics=fitted.intrinsics)
+            distance = test.distances(test.adjust(posed, fixed="rig", **options))
+            for k, view in enumerate(parts[1]):
+                here = distance[test.observations.capture == k]
+                error[view] += np.minimum(here, 3 * np.median(here)).mean()
     return errors
 
 
