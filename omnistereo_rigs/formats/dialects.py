@@ -138,16 +138,25 @@ def _sensors(data: Section, path: Path) -> list[Section]:
 
 
 def _sockets(data: Section, path: Path) -> list[Section]:
-    cams, items = [], data.require("cameraData")
+    """Return the cameras in the order of their sockets; the root states no rotation."""
+    cams, items = dict[str, Section](), data.require("cameraData")
     for item in items if isinstance(items, list) else [items]:
         if not (isinstance(item, list) and len(item) == 2):
             raise OmnistereoError("cameraData: expected pairs of a socket and a camera")
         cam = data.add(f"socket {item[0]}", {"socket": item[0]} | Section(item[1]).values)
         cam.ignore("lensPosition", "specHfovDeg", "socket")
         if "extrinsics" in cam.values:
-            cam.section("extrinsics").ignore("specTranslation")
-        cams.append(cam)
-    return cams
+            pose = cam.section("extrinsics")
+            pose.ignore("specTranslation", "lengthUnit")
+            if pose.values.get("lengthUnit", 1) != 1:
+                raise OmnistereoError(
+                    f"{cam.name}: lengthUnit is {pose.values['lengthUnit']}; expected 1, "
+                    "centimetres. Write its translation in them"
+                )
+            if not pose.values.get("rotationMatrix"):
+                pose.values["rotationMatrix"] = np.eye(3).tolist()
+        cams[cam.name] = cam
+    return [cams[name] for name in in_order(cams)]
 
 
 # Parameters that are more than numbers in their order.

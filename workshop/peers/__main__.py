@@ -33,6 +33,8 @@ PROGRAMS = {
         "mrcal==2.5.2.post1 numpysane==0.45 --no-deps --no-build-isolation",
         "3.12",
     ),
+    "anipose": ("anipose", "aniposelib==0.8.0", "3.11"),
+    "depthai": ("depthai", "depthai==3.12.0 numpy==2.4.6", "3.11"),
     "kitti360": ("kitti360", "kitti360scripts==1.0.0 numpy==2.4.6 PyYAML==6.0.3 --no-deps", "3.11"),
     "formulas": ("formulas", "numpy==2.4.6", "3.11"),
     "laspy": ("laspy", "laspy==2.7.0 lazrs==0.8.2 numpy==2.4.6", "3.11"),

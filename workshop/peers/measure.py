@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+POINTS = np.random.default_rng(0).normal(size=(50, 3)) * [2, 2, 0.5] + [0, 0, 3]
 F, CX, CY, WIDE = 200.0, 320.0, 240.0, 110
 ROWS = {"lenses": [], "poses": [], "files": []}
 
@@ -288,6 +289,10 @@ def of_aria(folder, truth):
         camera = CameraProjection(getattr(Type, kind), np.array([*focal, CX, CY, *[0.0] * count]))
         lens(name, kind, order, "whole", camera.project, camera.unproject, wide)
     pose(name, "T_Device_Camera", "camera → device, metres")
+    numbers = np.array([F, CX, CY, 0.01, -0.02, 0.003, 0, 0, 1e-4, 1e-4, -2e-4, 2e-4, 0, -1e-4, 0])
+    camera = CameraProjection(Type.FISHEYE624, numbers)
+    pixels = [camera.project(point) for point in POINTS]
+    np.savez(folder / "aria.npz", numbers=numbers, points=POINTS, pixels=pixels)
 
 
 def of_ds_msp(folder, truth):
@@ -393,6 +398,49 @@ def of_formulas(folder, truth):
     order = "a0 a2 a3 a4, centre, c d e"
     lens("MATLAB, by its formula", "fisheyeIntrinsics", order, "whole from 1", project, unproject)
     pose("MATLAB, by its formula", "rigidtform3d of estimateExtrinsics", "world → camera")
+
+
+def of_anipose(folder, truth):
+    from aniposelib.cameras import CameraGroup, FisheyeCamera
+
+    name = "aniposelib 0.8.0"
+    matrix, size = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]]), (640, 480)
+    cameras = [
+        FisheyeCamera(matrix=matrix, dist=np.array(k), size=size, rvec=r, tvec=t)
+        for k in [[-0.01, 0.004, -0.002, 0.0003]]
+        for r, t in (([0.0] * 3, [0.0] * 3), ([0.1, 0.5, -0.2], [-0.2, 0.01, 0.05]))
+    ]
+    group = CameraGroup(cameras)
+    group.dump(str(folder / "anipose.toml"))
+    pixels = [camera.project(POINTS).reshape(-1, 2) for camera in cameras]
+    np.savez(folder / "anipose.npz", points=POINTS, pixels=pixels)
+    plain = FisheyeCamera(
+        matrix=matrix, dist=np.zeros(4), size=size, rvec=[0.0] * 3, tvec=[0.0] * 3
+    )
+    order = "matrix, distortions k1 k2 k3 k4"
+    lens(name, "FisheyeCamera", order, "whole", lambda r: plain.project(r[None]), None)
+    pose(name, "rotation, translation", "world → camera, in the unit of the board, Rodrigues")
+
+
+def of_depthai(folder, truth):
+    import depthai
+
+    handler, sockets = depthai.CalibrationHandler(), depthai.CameraBoardSocket
+    pair, matrix = (sockets.CAM_A, sockets.CAM_B), [[F, 0, CX], [0, F, CY], [0, 0, 1]]
+    for socket in pair:
+        handler.setCameraIntrinsics(socket, matrix, 640, 480)
+        handler.setDistortionCoefficients(socket, [0.0] * 4)
+        handler.setCameraType(socket, depthai.CameraModel.Fisheye)
+    turn = [[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]
+    handler.setCameraExtrinsics(pair[1], pair[0], turn, [7.5, 0.2, -1.0], [7.5, 0.0, 0.0])
+    (folder / "oak.json").write_text(json.dumps(handler.eepromToJson()))
+    T = np.array(handler.getCameraExtrinsics(pair[0], pair[1]))
+    pixels = []
+    for points in (POINTS, POINTS @ T[:3, :3].T + T[:3, 3] / 100):
+        n = np.hypot(*points[:, :2].T)
+        pixels.append([CX, CY] + points[:, :2] * (F * np.arctan2(n, points[:, 2]) / n)[:, None])
+    np.savez(folder / "depthai.npz", points=POINTS, pixels=pixels)
+    pose("depthai 3.12.0", "extrinsics of a camera", "camera → toCameraSocket, centimetres")
 
 
 def of_laspy(folder, truth):

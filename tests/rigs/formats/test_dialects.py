@@ -305,7 +305,9 @@ def sockets(*parents):
         extrinsics = {"rotationMatrix": pose.R.tolist(), "translation": t, "toCameraSocket": parent}
         lens = {"intrinsicMatrix": K.tolist(), "distortionCoeff": [*K4, *[0.0] * 10]}
         lens |= {"cameraType": 1, "width": WIDTH, "height": HEIGHT, "extrinsics": extrinsics}
-        cams.append([socket, lens])
+        cams.insert(0, [socket, lens])  # in any order, as a device states them
+        if parent < 0:
+            extrinsics["rotationMatrix"] = []
     return {"cameraData": cams, "boardName": "OAK"}
 
 
@@ -320,6 +322,10 @@ def test_depthai_leads_from_socket_to_socket(tmp_path):
     follows(rig.cameras[0], kb4)
     with pytest.warns(UserWarning, match="zeros after"):
         assert read_rig(tmp_path / "oak.json").unit == "centimetres"
+    metres = sockets(1, -1)
+    metres["cameraData"][1][1]["extrinsics"]["lengthUnit"] = 0
+    with pytest.raises(OmnistereoError, match="socket 0: lengthUnit is 0; expected 1, centimetres"):
+        read(tmp_path / "oak.json", metres)
     for parents in ((1, 2, 0), (1, 0, -1), (-1, -1, 0)):
         with pytest.raises(OmnistereoError, match="lead in a circle or apart"):
             read(tmp_path / "oak.json", sockets(*parents))

@@ -13,6 +13,8 @@ import pytest
 
 from omnistereo_lib import SphereGrid
 from omnistereo_lib.pictures import read_image
+from omnistereo_rigs.formats.camera_models import FISHEYE624, make_camera_model
+from omnistereo_rigs.formats.read import read_any_rig
 from omnistereo_tools.output.pictures import write_panorama
 from omnistereo_tools.world.page import write_surface
 from omnistereo_tools.world.surface import Surface
@@ -42,6 +44,31 @@ def test_the_page_has_thirty_lenses_and_no_file_that_is_read_wrongly():
     assert lenses.count("\n| ") >= 31
     rows = [row.split(" | ") for row in files.strip().splitlines()[4:]]
     assert len(rows) >= 20 and all(float(row[-2]) <= float(row[-1].strip(" |")) for row in rows)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "file"), [("anipose", "anipose.toml"), ("depthai", "oak.json")])
+def test_what_other_programs_write_means_here_what_it_means_there(files, name, file):
+    """Points of the first camera's frame, in the pixels of both cameras."""
+    if peers.measure(name, files) is None:
+        pytest.skip(f"{name} has no wheels for the Python versions that are here")
+    rig = read_any_rig(files / file, "m" if name == "anipose" else None, keep_frame=True)
+    truth = np.load(files / f"{name}.npz")
+    for pose, camera, theirs in zip(rig.T_rig_cam, rig.cameras, truth["pixels"], strict=True):
+        ours, valid = camera.project(pose.inverse() @ truth["points"])
+        assert valid.mean() > 0.7
+        np.testing.assert_allclose(ours[valid], theirs[valid], atol=0.02)
+
+
+@pytest.mark.nightly
+def test_fisheye624_is_that_of_project_aria(files):
+    if peers.measure("aria", files) is None:
+        pytest.skip("projectaria-tools has no wheels for the Python versions that are here")
+    numbers, points, pixels = np.load(files / "aria.npz").values()
+    stated = dict(zip(("fx", "cx", "cy", *FISHEYE624), numbers.tolist(), strict=True))
+    ours, valid = make_camera_model("fisheye624", stated | {"fy": stated["fx"]})(points)
+    assert valid.all()
+    np.testing.assert_allclose(ours, pixels, atol=1e-6)
 
 
 PAGES = {
