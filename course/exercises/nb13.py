@@ -1,9 +1,7 @@
-"""Notebook 13: a ray caster (a box, a checker, light and shadow), depth along a ray from z, solid
-angles of pixels."""
+"""Notebook 13: a ray caster (a box, a checker, light and shadow), and depth along a ray from z."""
 
 import numpy as np
 
-from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
@@ -142,64 +140,4 @@ check_distances_from_z = Open(distances_from_z, _depths).with_slips("""
     * np.linalg.norm(rays, axis=-1) →
     # that many rays long it is: times the ray's length gives metres
     norm(rays, axis=-1) → norm(rays)  # one length for each ray: axis=-1
-""")
-
-
-def solid_angles(width, height, phi_deg):
-    """Solid angles (height, width) in steradians of the pixels of a panorama with edges at
-    elevations phi_deg."""
-    low, high = np.radians(phi_deg)
-    edges = np.linspace(low, high, height + 1)  # of the rows
-    bands = 2 * np.pi * np.diff(np.sin(edges))  # the area of the unit sphere between two elevations
-    return np.tile(bands[:, None] / width, width)
-
-
-def _a_panorama(rng: Rng, k: int) -> tuple:
-    return (
-        int(rng.integers(5, 12)),
-        int(rng.integers(3, 8)),
-        (float(rng.uniform(-85, -20)), float(rng.uniform(10, 70))),
-    )
-
-
-check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
-    np.diff(np.sin(edges)) → np.diff(edges)
-    # a row near a pole is short: its area goes with cos φ, or with the difference of sin φ
-    np.diff(np.sin(edges)) → np.cos((edges[1:] + edges[:-1]) / 2)
-    # that is the cosine: the height of a row in radians is missing
-    np.sin( → np.cos(  # sin φ at the edges, not cos φ
-    / width, width → , width  # that is the area of whole rows: divide by the columns
-""")
-
-
-def behind(center, points, inverse_depth, phi_deg, t):
-    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from
-    the rig to the depth of the surface in its direction, at the fractions t (steps,) of the way
-    from a camera (3,) to points (…, 3)."""
-    # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
-    H, W = inverse_depth.shape
-    places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
-    x, y, z = np.moveaxis(places, -1, 0)
-    theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))
-    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
-    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int).clip(0, H - 1)
-    return (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max(axis=0)
-
-
-def _a_scene(rng: Rng, k: int) -> tuple:
-    H, W = 8 + k % 3, 20 + 2 * (k % 5)
-    points = rng.normal(0, 3, (3, 4 + k % 3, 3))
-    points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
-    points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama
-    t = np.sort(rng.uniform(0.1, 0.9, 6 + k % 2))
-    return rng.normal(0, 0.4, 3), points, rng.uniform(0.1, 0.8, (H, W)), (-40.0, 45.0 + k), t
-
-
-check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
-    norm(places, → norm(places - center,
-    # the distance from the rig, not from the camera: the panorama holds depths from the rig
-    (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
-    → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
-    # the place's distance over the depth of the surface, not the other way round
-    np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
 """)
