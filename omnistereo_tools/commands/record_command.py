@@ -68,7 +68,8 @@ class RecordOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, RigOp
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
     video: Path | None = option(
-        "surfaces, panorama and depth, 1920 x 1080, at most 20 MB a minute", suffixes=(".mp4", ".webm")
+        "surfaces, panorama and depth, 1920 x 1080, at most 20 MB a minute",
+        suffixes=(".mp4", ".webm"),
     )
 
     def __post_init__(self) -> None:
