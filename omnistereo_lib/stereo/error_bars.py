@@ -32,6 +32,8 @@ SECOND_MASS = 0.1
 _SPHERES = 96
 # Windows in a sweep, as those of `local_mean`.
 _CELLS = 32
+# A cost that no ray reaches: infinity is out of the question.
+_MUCH = 1e3
 # Cells of the volume that a thread reads at a time.
 _PART = 1 << 19
 Floats = NDArray[np.float32]
@@ -77,9 +79,9 @@ def error_bars(
     if (fitted := weights_of(method)) is None:
         return None
     grid = sweep.grid
-    raw = volume if "cost" in fitted["sigma"] else None
+    costs = (volume, smooth) if "cost" in fitted["sigma"] else None
     spread = distribution(smooth, index, fitted["temperature"])
-    known = properties(spread, index, confidence, raw, grid)
+    known = properties(spread, index, confidence, costs, grid)
     sigma, bound = (np.exp(weighted(fitted[name], known)) for name in ("sigma", "bound"))
     bound = np.maximum(sigma, bound)
     # In 1/m; the truth is taken to lie within the spheres.
@@ -146,13 +148,17 @@ def distribution_by_torch(
 
 
 def properties(
-    spread: Floats, index: Tensor, confidence: Tensor, volume: Tensor | None, grid: SphereGrid
+    spread: Floats,
+    index: Tensor,
+    confidence: Tensor,
+    costs: tuple[Tensor, Tensor] | None,
+    grid: SphereGrid,
 ) -> dict[str, NDArray[Any]]:
     """Return what tells the error of a ray, by name, each (H, W).
 
     Args:
         spread: Of `distribution`.
-        volume: Costs (H, W, N) before they are smoothed; None: without "cost".
+        costs: (H, W, N), before and after they are smoothed; None: without what these tell.
     """
     unit = _SPHERES / grid.num_spheres
     at = np.nan_to_num(index.cpu().numpy())
@@ -168,9 +174,19 @@ def properties(
         "confidence": np.log(np.nan_to_num(confidence.cpu().numpy()) + 0.01),
         "swept": np.full_like(at, -np.log(grid.min_depth)),
     }
-    if volume is not None:
+    if costs is not None:
         nearest = index.nan_to_num().round().long()[..., None]
-        known["cost"] = volume.gather(-1, nearest)[..., 0].nan_to_num().float().cpu().numpy()
+        raw, best = (
+            cost.gather(-1, nearest)[..., 0].nan_to_num().float().cpu().numpy() for cost in costs
+        )
+        known["cost"] = raw
+        # By how much infinity costs more. Where that is little, the ray may as well be of the sky,
+        # and then it is off by as much as it was found to be near.
+        far = costs[1][..., : max(1, grid.num_spheres // _CELLS)].nan_to_num(_MUCH).amin(-1)
+        gap = np.log1p((far.float().cpu().numpy() - best).clip(0, _MUCH))
+        known["gap to infinity"] = gap
+        for name in ("index", "range of 7 x 7 rays"):
+            known[f"gap x {name}"] = gap * known[name]
     return known
 
 

@@ -11,7 +11,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import check_number
 from omnistereo_lib.geometry.camera import OcamCamera
@@ -32,6 +32,10 @@ WEAK = 0.25  # agreement that is none
 VALLEY = 0.1  # by which the agreement falls between two depths that count as two
 FLAT = 2.0  # gray values, standard deviation of a patch without texture
 NEARER = 0.8  # of a distance: what is this much nearer stands in front
+AROUND_DEG = 3.4  # how far around a ray the depths beside it are looked up
+# In tolerances: a tenth of the depths around, and the nearest of all, are within and beyond that of
+# another depth at which the patches agree. Then a surface is there, or it only looks alike.
+BESIDE, NOWHERE = 0.5, 5.0
 GRAY = np.array([0.299, 0.587, 0.114])  # BT.601 luma
 ON_THE_WAY = 32  # places between a point and a camera where something may stand
 
@@ -51,6 +55,8 @@ class Ray:
     grid: SphereGrid
     index: float  #: sphere index of the estimate, NaN unknown
     likely: float  #: how likely that is right, see `trust.likely`; NaN without error bars
+    nearest: float  #: metres, at the near end of the 95 % bound; NaN without error bars
+    around: NDArray[np.float64]  #: (M,), sphere indices of the estimates around the ray
     sees: NDArray[np.bool_]  #: (cameras,), whose field of view holds the estimated point
     hidden: NDArray[np.bool_]  #: (cameras,), of those, from which something nearer hides it
     #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
@@ -141,10 +147,25 @@ class Ray:
         return "either" if self.chosen >= WEAK and CLEAR * other <= self.chosen else "elsewhere"
 
     @property
+    def note(self) -> str:
+        """Which of the `NOTES` is added to the sentence."""
+        if self.kind == "weak":
+            return "nearest" if np.isfinite(self.nearest) else ""
+        if self.kind not in ("decided", "either", "elsewhere") or self.rival is None:
+            return ""
+        # Repetition and an edge differ by what is around, and hardly by which cameras agree.
+        off = np.sort(np.abs(self.around - self.rival.sphere) / tolerances(self.around))
+        if off[len(off) // 10] <= BESIDE:
+            return "edge"
+        return "look-alike" if off[0] > NOWHERE else ""
+
+    @property
     def sentence(self) -> str:
         """Why the depth is what it is, and whether to believe it."""
         other = told(float(self.grid.index_to_depth(self.rival.sphere))) if self.rival else ""
-        return SENTENCES[self.kind].format(count=self.alike, depth=told(self.depth), other=other)
+        return (SENTENCES[self.kind] + NOTES[self.note]).format(
+            count=self.alike, depth=told(self.depth), other=other, nearest=told(self.nearest)
+        )
 
 
 # `python -m workshop ray-sentences` measures how often each is right: book/own_cameras.md.
@@ -159,6 +180,12 @@ SENTENCES = {
         "The cameras agree better at {other}, and the rays beside it speak for {depth}: doubtful."
     ),
     "unlike": "The cameras hardly agree at any depth: {depth} comes from the rays beside it.",
+}
+NOTES = {
+    "": "",
+    "nearest": " It is hardly nearer than {nearest}.",
+    "edge": " There is an edge: something beside it is at {other}.",
+    "look-alike": " Nothing around it is at {other}: that only looks alike.",
 }
 
 
@@ -184,13 +211,31 @@ def for_the_page() -> dict[str, Any]:
         "flat": FLAT,
         "nearer": NEARER,
         "onTheWay": ON_THE_WAY,
+        "aroundDeg": AROUND_DEG,
+        "beside": BESIDE,
+        "nowhere": NOWHERE,
         "sentences": SENTENCES,
+        "notes": NOTES,
     }
 
 
 def tolerance(index: float) -> float:
     """Return how many spheres off an index is still right: two, or a tenth of the depth."""
-    return max(2.0, 0.1 * index)
+    return float(tolerances(index))
+
+
+def tolerances(index: ArrayLike) -> NDArray[np.float64]:
+    """Return the `tolerance` of each index."""
+    return np.maximum(2.0, 0.1 * np.asarray(index, np.float64))
+
+
+def depths_around(depth: Depth, column: int, row: int) -> NDArray[np.float64]:
+    """Return the sphere indices of the rays within `AROUND_DEG` that have an estimate, (M,)."""
+    reach = max(1, round(AROUND_DEG * depth.grid.width / 360))
+    rows = slice(max(0, row - reach), row + reach + 1)
+    columns = np.arange(column - reach, column + reach + 1) % depth.grid.width
+    found = np.asarray(depth.index[rows, columns], np.float64)
+    return found[np.isfinite(found)]
 
 
 def explain(depth: Depth, column: int, row: int) -> Ray:
@@ -230,6 +275,8 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
         grid,
         index,
         float(likely(right, depth.sigma[row, column], depth.bound[row, column])),
+        1 / float(depth.inverse_depth[row, column] + depth.bound[row, column]),
+        depths_around(depth, column, row),
         sees,
         hidden,
         patches,

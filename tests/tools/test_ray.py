@@ -59,6 +59,7 @@ def test_each_kind_of_sentence_has_its_rule(box, kind):
     bump = pairs * np.exp(-((np.arange(64) - n) ** 2) / 8.0)
     away = pairs * np.exp(-((np.arange(64) - (n + 25) % 64) ** 2) / 8.0)
     base = {"sees": np.ones(4, bool), "contrast": 20.0, "scores": 0.5 * bump, "likely": 0.95}
+    base["nearest"] = np.nan
     changed = {
         "unseen": {"sees": np.arange(4) == 0},
         "flat": {"contrast": 0.5},
@@ -74,6 +75,31 @@ def test_each_kind_of_sentence_has_its_rule(box, kind):
     assert found.kind == kind and "{" not in found.sentence
     if "{depth}" in ray.SENTENCES[kind]:
         assert f"{found.depth:.2f} m" in found.sentence
+
+
+def test_a_second_depth_is_an_edge_if_it_is_found_around_and_else_a_look_alike(box):
+    one = ray.explain(box, 80, 20)
+    n = round(one.index)
+    away = (n + 25) % 64
+    bumps = (np.exp(-((np.arange(64) - at) ** 2) / 8.0) for at in (n, away))
+    scores = np.ones((6, 1)) * sum(0.5 * bump for bump in bumps)
+    two = replace(one, scores=scores, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
+    around = np.full(49, one.index)
+    for beside, note in ((0, "look-alike"), (2, ""), (5, "edge"), (40, "edge")):
+        around[:beside] = away
+        found = replace(two, around=around)
+        assert (found.kind, found.note) == ("either", note)
+        assert found.sentence.count(ray.told(float(box.grid.index_to_depth(away)))) == 1 + (
+            note != ""
+        )
+
+
+def test_a_depth_that_is_not_certain_is_told_with_the_near_end_of_its_bound(box):
+    one = ray.explain(box, 80, 20)
+    bump = np.ones((6, 1)) * np.exp(-((np.arange(64) - round(one.index)) ** 2) / 8.0)
+    weak = replace(one, scores=0.5 * bump, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
+    assert replace(weak, nearest=4.714).sentence.endswith("It is hardly nearer than 4.71 m.")
+    assert replace(weak, nearest=np.nan).note == ""
 
 
 def test_the_cameras_that_agree_are_counted_where_they_agree_best(box):

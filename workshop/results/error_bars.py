@@ -69,7 +69,9 @@ _ALWAYS += ("range of 3 x 3 rays", "range of 7 x 7 rays", "index", "confidence")
 PROPERTIES = {"volumenet": (*_ALWAYS, "swept")}
 METHODS = {"volumenet": 0.0, "zncc+sgm": 2.0, "mccnn+sgm": 2.0, "sweepnet+sgm": 2.0}
 _SLOW = ("mccnn+sgm", "sweepnet+sgm")  # no cloudy, no sunset
+_COSTS = ("cost", "gap to infinity", "gap x index", "gap x range of 7 x 7 rays")
 _RAYS, _STEPS, _FLOOR = 40_000, 400, 1e-3  # of the fit; spheres
+_ROUNDS, _PULL = 4, 0.8  # of the fit of costs, which balances the ranges
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +140,8 @@ def measure(frame: Frame, method: Method) -> dict[str, Any]:
     smooth = method.smooth(volume)
     index, confidence = method.read_out(smooth, True)
     spread = distribution(smooth, index, METHODS[method.name])
-    raw = None if method.reads_out else volume
-    known = properties(spread, index, confidence, raw, grid)
+    costs = None if method.reads_out else (volume, smooth)
+    known = properties(spread, index, confidence, costs, grid)
     truth, at = frame.gt_index(grid), index.numpy()
     edge = range_around(np.nan_to_num(truth).astype(np.float32), 5) > 0.03 * SPHERES
     usable = np.isfinite(at) & np.isfinite(truth) & (truth >= 0) & (truth < SPHERES)
@@ -149,26 +151,37 @@ def measure(frame: Frame, method: Method) -> dict[str, Any]:
 
 
 def fit(rays: Rays, name: str) -> dict[str, dict[str, float]]:
-    """Return the weights of σ and of the bound."""
-    costs = () if name in PROPERTIES else ("cost",)
-    names = PROPERTIES.get(name, (*_ALWAYS, *costs))
+    """Return the weights of σ and of the bound.
+
+    Of costs, the share that each range is fitted to, at edges and away from them, is moved against
+    what it came out as, some rounds: else what is far has too little, since no property tells it.
+    """
+    names = PROPERTIES.get(name, (*_ALWAYS, *_COSTS))
     some = np.random.default_rng(0).permutation(len(rays.error))[:_RAYS]
     X = np.stack([rays.known[key][some] for key in names], -1).astype(np.float64)
     y = np.log(np.abs(rays.error[some]) + _FLOOR)
+    of_group = np.digitize(rays.depth[some], (5, 15)) + 3 * (rays.edge[some] > 0)
     found = {}
     for kind, share in zip(("sigma", "bound"), WITHIN, strict=True):
-        values = quantile_weights(X, y, share)
+        shares = np.full(6, share)
+        values = quantile_weights(X, y, shares[of_group])
+        for _ in range(0 if name in PROPERTIES else _ROUNDS - 1):
+            held = np.bincount(of_group, y <= X @ values, 6) / np.bincount(of_group, minlength=6)
+            shares = np.clip(shares + _PULL * (share - held), 0.3, 0.995)
+            values = quantile_weights(X, y, shares[of_group])
         found[kind] = {
             key: round(float(value), 4) for key, value in zip(names, values, strict=True)
         }
     return found
 
 
-def quantile_weights(X: NDArray[Any], y: NDArray[Any], share: float) -> NDArray[Any]:
-    """Return w such that a share of y is below X w: the pinball loss, first column constant."""
+def quantile_weights(X: NDArray[Any], y: NDArray[Any], share: NDArray[Any]) -> NDArray[Any]:
+    """Return w such that a share of y, given for each row, is below X w: the pinball loss, first
+    column constant.
+    """
     mean, scale = X.mean(0), np.maximum(X.std(0), 1e-6)
     mean[0], scale[0] = 0, 1
-    Z, target = (torch.from_numpy(a).float() for a in ((X - mean) / scale, y))
+    Z, target, level = (torch.from_numpy(a).float() for a in ((X - mean) / scale, y, share))
     w = torch.zeros(X.shape[1], dtype=torch.float32)
     w[0] = target.median()
     w.requires_grad_()
@@ -176,7 +189,7 @@ def quantile_weights(X: NDArray[Any], y: NDArray[Any], share: float) -> NDArray[
     for step in range(_STEPS):
         optimizer.param_groups[0]["lr"] = 0.04 if step < 0.6 * _STEPS else 0.008
         off = target - Z @ w
-        loss = torch.maximum(share * off, (share - 1) * off).mean()
+        loss = torch.maximum(level * off, (level - 1) * off).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -151,10 +151,32 @@ function kindOf({ sees, contrast, chosen, rival, likely }) {
   return peak && R.clear * other <= chosen ? "either" : "elsewhere";
 }
 
+// The spheres of the estimates around a ray.
+function depthsAround(k) {
+  const reach = Math.max(1, Math.round(R.aroundDeg * D.width / 360)), found = [];
+  const row = Math.floor(k / D.width), column = k % D.width;
+  for (let y = Math.max(0, row - reach); y <= Math.min(D.height - 1, row + reach); y++)
+    for (let x = column - reach; x <= column + reach; x++) {
+      const n = sphereOf(inverse(y * D.width + (x + D.width) % D.width));
+      if (!Number.isNaN(n)) found.push(n);
+    }
+  return found;
+}
+
+// Which note is added to the sentence.
+function noteOf({ k, kind, rival }) {
+  if (kind === "weak") return Number.isNaN(bound(k)) ? "" : "nearest";
+  if (!["decided", "either", "elsewhere"].includes(kind) || !rival) return "";
+  const off = depthsAround(k).map(n => Math.abs(n - rival.sphere) / toleranceOf(n)).sort((a, b) => a - b);
+  if (off[Math.floor(off.length / 10)] <= R.beside) return "edge";
+  return off[0] > R.nowhere ? "look-alike" : "";
+}
+
 function sentenceOf(found) {
   const words = {
     count: found.alike, depth: metres(1 / inverse(found.k)),
     other: found.rival && metres(1 / inverseOf(found.rival.sphere)),
+    nearest: metres(1 / (inverse(found.k) + bound(found.k))),
   };
-  return R.sentences[found.kind].replace(/\{([^}]+)\}/g, (_, name) => words[name]);
+  return (R.sentences[found.kind] + R.notes[noteOf(found)]).replace(/\{([^}]+)\}/g, (_, name) => words[name]);
 }
