@@ -44,7 +44,6 @@ mathjax3_config = {"options": {"enableMenu": False}}
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
-autodoc_mock_imports = ["triton"]  # comes with torch for GPUs
 napoleon_numpy_docstring = False
 napoleon_use_param = False
 napoleon_use_rtype = False

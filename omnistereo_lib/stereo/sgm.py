@@ -19,14 +19,12 @@ ray without known cells is like one of constant cost. Unknown cells are NaN in S
 best sphere.
 """
 
-from importlib.util import find_spec
 from numbers import Real
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from omnistereo_lib import reference
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.kernels import sgm_numba
 from omnistereo_lib.stereo.kernels.sgm_numba import LARGEST
@@ -61,8 +59,7 @@ def sgm(
 
     Note:
         The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their
-        number. It needs one more volume of memory, a GPU two more, or three where Triton is not
-        installed.
+        number. It needs one more volume of memory. The volume of a GPU goes to the CPU and back.
 
     Raises:
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or
@@ -74,34 +71,17 @@ def sgm(
     >>> int(volume[2, 4].argmin()), int(osl.sgm(volume, p1=0.1, p2=1.0)[2, 4].argmin())
     (0, 3)
     """
-    # Check everything before it is computed, but for costs on a CPU: the kernel looks at them.
-    volume = as_volume(volume).to(torch.float32).contiguous()
+    volume = as_volume(volume)
     if paths not in (4, 8):
         raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
     if not (isinstance(p1, Real) and isinstance(p2, Real) and 0 <= p1 <= p2 < LARGEST):
         raise OmnistereoError(
             f"sgm: penalties are p1 = {p1!r}, p2 = {p2!r}; expected finite numbers, 0 ≤ p1 ≤ p2"
         )
-    if volume.device.type == "cpu":
-        total, too_large = sgm_numba.sum_paths(
-            volume.numpy(), np.float32(p1), np.float32(p2), paths, wrap
-        )
-    else:
-        too_large = bool((volume.abs() >= LARGEST).any())  # false for NaN
-        total = volume if too_large else sgm_gpu(volume, p1, p2, paths, wrap)
+    cost = volume.to("cpu", torch.float32).contiguous().numpy()
+    total, too_large = sgm_numba.sum_paths(cost, np.float32(p1), np.float32(p2), paths, wrap)
     if too_large:
         raise OmnistereoError(
             f"sgm: a cost is infinite, or {LARGEST:g} or more. Set unknown cells to NaN."
         )
-    return total
-
-
-def sgm_gpu(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
-    """Return S of a volume on a GPU without infinite costs; arguments as in `sgm`."""
-    # Triton comes with torch for CUDA on Linux; elsewhere the definition itself runs.
-    if find_spec("triton") is None:
-        return reference.sgm(volume, p1, p2, paths, wrap)
-    from omnistereo_lib.stereo.kernels.sgm_triton import sum_paths
-
-    total = sum_paths(reference.fill_unknown(volume), p1, p2, paths, wrap, reference.MAX_LAPS)
-    return total.masked_fill_(volume.isnan(), torch.nan)
+    return total.to(volume.device)

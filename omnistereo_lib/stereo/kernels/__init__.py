@@ -1,1 +1,1 @@
-"""Fast code for one device each, with the numbers of `reference`. Only `stereo` comes here."""
+"""Fast code for the CPU, with the numbers of `reference`. Only `stereo` comes here."""

@@ -1,9 +1,9 @@
 """The paths of SGM on a CPU: all threads at once, and no L_r of a whole volume is ever stored.
 
 Rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the
-bottom ↑ ↗ ↖. A message belongs to a scanline, not to a pixel: each vertical or diagonal line has
-its slot, (x − y) mod W for ↘, which the next row updates in place (6 W N floats for both passes,
-5.5 MB at 1200×300×192).
+bottom ↑ ↗ ↖. The last L of a path is kept in a slot of its scanline, which is (x − y) mod W for ↘.
+A line has two slots: a row reads one and writes the other (12 W N floats for both passes, 11 MB at
+1200×300×192), so that one loop over n does all: message, cost, sum and minimum.
 
 Threads never write to the same memory at the same time. The two passes start at opposite ends and
 run at once, one band of rows each. A band is cut into strips of columns. Because a path moves by at
@@ -32,6 +32,9 @@ INFINITY = np.float32(np.inf)
 LARGEST = np.float32(1e30)
 # The width of a strip in columns.
 _STRIP = 128
+# Floats of a cache line. In a slot L starts at the second one, between infinite neighbours; the
+# first begins with min L.
+_LINE = 16
 # A tile: up, top, bottom, first, last, slope.
 _Tile = tuple[bool, int, int, int, int, int]
 
@@ -42,25 +45,42 @@ def sum_paths(
     """Return Σ_r L_r of costs (H, W, N), and whether a cost is too large, as in `sgm`."""
     H, W, N = cost.shape
     # (H, W, N); NumPy asks the system for huge pages, torch does not.
-    total = np.empty_like(cost)
+    total = _aligned(cost.shape)
     # The data term of the unknown cells of each ray.
     fill = np.empty((H, W), np.float32)
-    # One message per scanline, of the passes down and up: straight on, to the right, to the left.
-    messages = np.zeros((2, 3, W, N), np.float32)
+    # Of the passes down and up, for even and odd rows: straight on, to the right, to the left.
+    empty = _empty_slot(N)
+    slots = _aligned((2, 2, 3, W, len(empty)))
+    slots[:] = empty
 
     # Along the rows, four at a time in a thread; this also fills the unknown cells.
     def rows(y: int) -> bool:
-        return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
+        return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], empty, wrap, p1, p2)
 
     too_large = any(list(map_threads(rows, range(0, H, 4))))
 
     # Across the rows, tile by tile.
     def advance(tile: _Tile) -> None:
-        _advance(cost, fill, total, messages, tile, paths == 8, wrap, p1, p2)
+        _advance(cost, fill, total, slots, empty, tile, paths == 8, wrap, p1, p2)
 
     for tiles in _tiles(H, W):
         list(map_threads(advance, tiles))
     return torch.from_numpy(total), too_large
+
+
+def _empty_slot(N: int) -> NDArray[np.float32]:
+    """Return the slot of a path that begins: its message is 0."""
+    slot = np.zeros(_LINE * (2 + math.ceil(N / _LINE)), np.float32)
+    slot[[_LINE - 1, _LINE + N]] = INFINITY
+    return slot
+
+
+def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return an array that begins with a cache line: vectors then stay within one."""
+    size = math.prod(shape)
+    floats = np.empty(size + _LINE, np.float32)
+    first = -(floats.ctypes.data // floats.itemsize) % _LINE
+    return floats[first : first + size].reshape(shape)
 
 
 def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
@@ -110,72 +130,67 @@ def _fill_value(cost: NDArray[Any]) -> np.float32:
     return np.float32(total / max(known, 1))
 
 
-@njit
-def _add_cost(
-    cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDArray[Any]
-) -> np.float32:
-    """Extend a path by one pixel, L = C + M; return min L. path is (N + 2,), its ends infinite."""
-    lowest = INFINITY
-    for n in range(cost.size):
-        # L_r(p, n) = C(p, n) + M(n), M from the pixel before (Hirschmüller 2008).
-        c = cost[n] if cost[n] == cost[n] else fill
-        path[n + 1] = c + message[n]
-        lowest = minimum(lowest, path[n + 1])
-    return lowest
+# Inlined by force: a call hands over each array as seven numbers, which takes as long as the loop.
 
 
-@njit
-def _update_message(
-    path: NDArray[Any], lowest: float, p1: float, p2: float, message: NDArray[Any]
-) -> None:
-    """Write the message M to the next pixel of the path."""
-    # M(n) = min(L(n), L(n-1) + P1, L(n+1) + P1, min L + P2) - min L: the neighbouring spheres cost
-    # P1, any other P2, and subtracting the minimum keeps the sums bounded. The infinite ends of
-    # `path` stand for the spheres before the first and after the last.
-    jump = lowest + p2
-    for n in range(message.size):
-        step = minimum(path[n], path[n + 2]) + p1
-        message[n] = minimum(minimum(path[n + 1], step), jump) - lowest
+@njit(forceinline=True)
+def _known(cost: float, fill: float) -> Any:
+    return cost if cost == cost else fill
 
 
-@njit
-def _copy_if_changed(path: NDArray[Any], path_costs: NDArray[Any]) -> bool:
-    """Copy path to path_costs; return whether a value changed."""
-    changed = False
-    for n in range(path_costs.size):
-        changed |= path[n + 1] != path_costs[n]
-        path_costs[n] = path[n + 1]
-    return changed
+@njit(forceinline=True)
+def _message(before: float, at: float, after: float, p1: float, lowest: float, p2: float) -> Any:
+    """Return the message M(n) to the next pixel of a path, given L(n - 1), L(n), L(n + 1), min L.
+
+    M(n) = min(L(n), L(n ± 1) + P1, min L + P2) - min L: the neighbouring spheres cost P1, any other
+    P2, and subtracting the minimum keeps the sums bounded (Hirschmüller 2008).
+    """
+    return minimum(minimum(at, minimum(before, after) + p1), lowest + p2) - lowest
 
 
-@njit
+@njit(forceinline=True)
 def _scan_row(
     cost: NDArray[Any],
     fill: NDArray[Any],
-    path_costs: NDArray[Any],
+    path: NDArray[Any],
+    empty: NDArray[Any],
     leftward: bool,
     wrap: bool,
     p1: float,
     p2: float,
 ) -> None:
-    """Write the L of one path along one row to path_costs (W, N), in laps until nothing changes."""
+    """Write the L of one path along one row to path (W, N), in laps until nothing changes."""
     W, N = cost.shape
-    message = np.zeros(N, np.float32)
-    path = np.full(N + 2, INFINITY)
+    slots = np.empty((2, len(empty)), np.float32)
+    slots[:] = empty
     # Around the panorama a path has no beginning. The first lap starts from nothing, each other one
     # from the end of the last, until a pixel's costs repeat: so would all after it.
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
             x = W - 1 - i if leftward else i
-            lowest = _add_cost(cost[x], fill[x], message, path)
-            if not _copy_if_changed(path, path_costs[x]) and lap > 0:
+            old, new = (lap * W + i) % 2, (lap * W + i + 1) % 2
+            lowest, least, changed = slots[old, 0], INFINITY, lap == 0
+            for n in range(N):
+                k = n + _LINE
+                M = _message(slots[old, k - 1], slots[old, k], slots[old, k + 1], p1, lowest, p2)
+                L = _known(cost[x, n], fill[x]) + M
+                changed |= path[x, n] != L
+                slots[new, k] = path[x, n] = L
+                least = minimum(least, L)
+            if not changed:
                 return  # converged: the rest of the row cannot change
-            _update_message(path, lowest, p1, p2, message)
+            slots[new, 0] = least
 
 
 @compiled(nogil=True)
 def _scan_rows(
-    cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float
+    cost: NDArray[Any],
+    fill: NDArray[Any],
+    total: NDArray[Any],
+    empty: NDArray[Any],
+    wrap: bool,
+    p1: float,
+    p2: float,
 ) -> bool:
     """Write the sum of the two paths along rows, and fill; return whether a cost is too large."""
     H, W, N = cost.shape
@@ -185,8 +200,8 @@ def _scan_rows(
         for x in range(W):
             fill[y, x] = _fill_value(cost[y, x])
             too_large |= fill[y, x] == INFINITY
-        _scan_row(cost[y], fill[y], total[y], False, wrap, p1, p2)
-        _scan_row(cost[y], fill[y], leftward, True, wrap, p1, p2)
+        _scan_row(cost[y], fill[y], total[y], empty, False, wrap, p1, p2)
+        _scan_row(cost[y], fill[y], leftward, empty, True, wrap, p1, p2)
         for x in range(W):
             for n in range(N):
                 c = cost[y, x, n]
@@ -195,12 +210,72 @@ def _scan_rows(
     return too_large
 
 
+@njit
+def _extend_one(
+    cost: NDArray[Any],
+    fill: NDArray[Any],
+    old: NDArray[Any],
+    new: NDArray[Any],
+    p1: float,
+    p2: float,
+    total: NDArray[Any],
+) -> None:
+    """Extend one path by a pixel in each column, and add it."""
+    columns, N = cost.shape
+    for x in range(columns):
+        lowest, least = old[x, 0], INFINITY
+        for n in range(N):
+            k = n + _LINE
+            M = _message(old[x, k - 1], old[x, k], old[x, k + 1], p1, lowest, p2)
+            L = _known(cost[x, n], fill[x]) + M
+            new[x, k] = L
+            total[x, n] += L
+            least = minimum(least, L)
+        new[x, 0] = least
+
+
+@njit
+def _extend_three(
+    cost: NDArray[Any],
+    fill: NDArray[Any],
+    old_a: NDArray[Any],
+    old_b: NDArray[Any],
+    old_c: NDArray[Any],
+    new_a: NDArray[Any],
+    new_b: NDArray[Any],
+    new_c: NDArray[Any],
+    p1: float,
+    p2: float,
+    total: NDArray[Any],
+) -> None:
+    """Extend three paths by a pixel in each column, and add them."""
+    columns, N = cost.shape
+    for x in range(columns):
+        low_a, low_b, low_c, f = old_a[x, 0], old_b[x, 0], old_c[x, 0], fill[x]
+        least_a = least_b = least_c = INFINITY
+        for n in range(N):
+            k = n + _LINE
+            c = _known(cost[x, n], f)
+            a = c + _message(old_a[x, k - 1], old_a[x, k], old_a[x, k + 1], p1, low_a, p2)
+            b = c + _message(old_b[x, k - 1], old_b[x, k], old_b[x, k + 1], p1, low_b, p2)
+            d = c + _message(old_c[x, k - 1], old_c[x, k], old_c[x, k + 1], p1, low_c, p2)
+            new_a[x, k], new_b[x, k], new_c[x, k] = a, b, d
+            total[x, n] += a + b + d
+            least_a, least_b, least_c = (
+                minimum(least_a, a),
+                minimum(least_b, b),
+                minimum(least_c, d),
+            )
+        new_a[x, 0], new_b[x, 0], new_c[x, 0] = least_a, least_b, least_c
+
+
 @compiled(nogil=True)
 def _advance(
     cost: NDArray[Any],
     fill: NDArray[Any],
     total: NDArray[Any],
-    messages: NDArray[Any],
+    slots: NDArray[Any],
+    empty: NDArray[Any],
     tile: _Tile,
     diagonals: bool,
     wrap: bool,
@@ -209,30 +284,38 @@ def _advance(
 ) -> None:
     """Add the paths of a pass in columns [first + slope j, last − slope j) of row j of a band."""
     up, top, bottom, first, last, slope = tile
-    H, W, N = cost.shape
-    paths = np.zeros((3, N + 2), np.float32)
-    for k in range(3):
-        paths[k, 0] = paths[k, N + 1] = INFINITY
+    H, W, _N = cost.shape
     for j in range(bottom - top):
         # `step` rows after the first of the pass, a diagonal has moved by as many columns.
         y = bottom - 1 - j if up else top + j
         step = H - 1 - y if up else y
-        for column in range(first + slope * j, last - slope * j):
-            x = column % W
-            # 0: straight on, 1: to the right, 2: to the left
-            for k in range(3 if diagonals else 1):
-                # The scanline that crosses column x here began at column x, x - step or x + step.
-                line = (x + (0, -step, step)[k]) % W
-                message = messages[int(up), k, line]
-                if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):
-                    # Without wrapping, a diagonal that comes in from the side starts anew.
-                    message.fill(0)
-                lowest = _add_cost(cost[y, x], fill[y, x], message, paths[k])
-                _update_message(paths[k], lowest, p1, p2, message)
-            _add_paths(paths, total[y, x])
-
-
-@njit
-def _add_paths(paths: NDArray[Any], total: NDArray[Any]) -> None:
-    for n in range(total.size):
-        total[n] += paths[0, n + 1] + paths[1, n + 1] + paths[2, n + 1]
+        old, new = slots[int(up), step % 2], slots[int(up), 1 - step % 2]
+        column, stop = first + slope * j, last - slope * j
+        while column < stop:
+            # The scanlines that cross column x here began at columns x, a = x - step, b = x + step.
+            x, a, b = column % W, (column - step) % W, (column + step) % W
+            size = min(stop - column, W - max(x, a, b))
+            # Without wrapping, a diagonal that comes in from the side starts anew.
+            if not wrap and x == 0:
+                old[1, a] = empty
+            if not wrap and x + size == W:
+                old[2, b + size - 1] = empty
+            of_x, of_a, of_b = slice(x, x + size), slice(a, a + size), slice(b, b + size)
+            c, f, s = cost[y, of_x], fill[y, of_x], total[y, of_x]
+            if diagonals:
+                _extend_three(
+                    c,
+                    f,
+                    old[0, of_x],
+                    old[1, of_a],
+                    old[2, of_b],
+                    new[0, of_x],
+                    new[1, of_a],
+                    new[2, of_b],
+                    p1,
+                    p2,
+                    s,
+                )
+            else:
+                _extend_one(c, f, old[0, of_x], new[0, of_x], p1, p2, s)
+            column += size

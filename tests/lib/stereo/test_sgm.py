@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from omnistereo_lib import reference
 from omnistereo_lib.reference import MAX_LAPS
-from omnistereo_lib.stereo import sgm as sgm_module
 from omnistereo_lib.stereo.kernels.sgm_numba import _tiles
 from omnistereo_lib.stereo.sgm import sgm
 
@@ -25,7 +24,6 @@ def noise(shape, seed=0, unknown=0.0):
 
 
 def in_float64(volume, p1, p2, paths=8, wrap=True):
-    """The definition; without Triton a GPU runs it, in float32."""
     return reference.sgm(torch.from_numpy(np.asarray(volume)).double(), p1, p2, paths, wrap)
 
 
@@ -43,10 +41,8 @@ def test_agrees_with_the_definition(shape, seed, unknown, paths, wrap, p1, p2):
     volume = noise(shape, seed, unknown)
     volume[-1, -1] = np.nan if unknown else volume[-1, -1]  # a whole ray too
     expected = in_float64(volume, p1, p2, paths, wrap)
-    with mock.patch.object(sgm_module, "find_spec", lambda name: None):  # no Triton
-        on_a_gpu = sgm_module.sgm_gpu(torch.from_numpy(volume), p1, p2, paths, wrap)
-    for found in (sgm(volume, p1, p2, paths, wrap), on_a_gpu):
-        np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-5)
+    found = sgm(volume, p1, p2, paths, wrap)
+    np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-5)
 
 
 def test_agrees_with_the_definition_at_teaching_width():
