@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.pose import Pose
     from omnistereo_tools.world.build import RecordedFrames
     from omnistereo_tools.world.fusion import Volume
+    from omnistereo_tools.world.page import PageView
 
 _USED = 0.9  # of the frames, in a world that is called good
 
@@ -40,6 +41,7 @@ class WorldOptions(Options):
         "distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0)
     )
     rrd: bool = option("write world.rrd, too, which Rerun plays", False)
+    video: bool = option("write flight.mp4, too: along the path, 1920 x 1080", False)
 
 
 def run(options: WorldOptions) -> None:
@@ -61,7 +63,7 @@ def run(options: WorldOptions) -> None:
     check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
     frames = RecordedFrames.open(options.recording)
     refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
-    asked = {name: getattr(options, name) for name in ("voxel", "range", "rrd")}
+    asked = {name: getattr(options, name) for name in ("voxel", "range", "rrd", "video")}
     asked["provenance"] = frames.provenance
     if _is_done(out, asked):
         print(f"Done already: the world is in {out}/; delete world.json there to fuse it again.")
@@ -145,7 +147,6 @@ def _write(
 ) -> None:
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import write_text
-    from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.geometry.trajectory import trajectory_tum
     from omnistereo_tools.output.summary import GOOD, fits
     from omnistereo_tools.progress import say
@@ -163,27 +164,50 @@ def _write(
         from omnistereo_tools.world.rerun_export import write_rrd
 
         write_rrd(out / "world.rrd", frames, poses, refined, surface)
-    number = list(poses)[len(poses) // 2]
-    before, after = (
-        frames.data.frame(number).inverse_depth,
-        read_inverse_depth(refined / f"{number:05}.tiff"),
-    )
     used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
     word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
     verdict = f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece"
-    page = world_page(surface, poses, number, before, after, frames.grid, verdict)
+    length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
+    drift, holes = frames.drift(poses), frames.holes_percent(volume, poses)
+    sentences = [
+        f"Of the rays {doubtful:.0f} % are doubtful, and count little.",
+        f"Of what is seen within {options.range:g} m, {holes:.0f} % has no surface.",
+        f"The path is {length:.1f} m long; where it returns it is off by {drift:.2f} m."
+        if drift is not None
+        else f"The path is {length:.1f} m long; its drift is unknown, as it does not return.",
+    ]
+    views = _page_views(frames, poses, refined)
+    what = surface, poses, views, frames.grid, options.range
+    page = world_page(*what, verdict, sentences)
+    if options.video:
+        from omnistereo_tools.record.recordings import write_film
+        from omnistereo_tools.world.film import RATE, flight
+
+        say("drawing the flight: half a second for each of its frames, 7 a metre")
+        write_film(out / "flight.mp4", flight(*what), RATE)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
     if (times := frames.times) and times.keys() >= poses.keys():
         texts["trajectory_seconds.txt"] = trajectory_tum(poses, times)
     for name, text in texts.items():
         write_text(out / name, text)
     frames.link(out)
-    length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
-    print(f"{verdict}.")
-    print(f"{doubtful:.0f} % of the rays that went in are doubtful; they count little.")
-    print(
-        f"The path is {length:.1f} m long, the surface has {len(surface.faces)} triangles. How far"
-        " the path has drifted at its end does not show, unless it returns to where it began."
-    )
+    print(f"{verdict}.", *sentences, f"The surface has {len(surface.faces)} triangles.", sep="\n")
     print(f"written to {out}/, which load_dataset reads")
     print(out / "index.html")
+
+
+def _page_views(frames: RecordedFrames, poses: dict[int, Pose], refined: Path) -> list[PageView]:
+    """Return frames along the path as the page shows them."""
+    import numpy as np
+
+    from omnistereo_lib.frame import read_inverse_depth
+    from omnistereo_tools.output.pictures import sharp_panorama
+    from omnistereo_tools.world.page import MOST_VIEWS, VIEW_WIDTH, PageView
+
+    numbers, views = list(poses), list[PageView]()
+    for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_VIEWS).astype(int)):
+        number = numbers[k]
+        frame, after = frames.data.frame(number), read_inverse_depth(refined / f"{number:05}.tiff")
+        panorama = sharp_panorama(frames.depth(frame, after), VIEW_WIDTH)
+        views.append(PageView(number, poses[number], panorama, frame.inverse_depth, after))
+    return views

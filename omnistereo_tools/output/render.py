@@ -20,6 +20,7 @@ FOCAL = 0.55  # of the width of a view
 _NEAREST = 0.05  # metres before the eye: triangles that reach nearer are left out
 _BRIGHTER = 0.8  # power: shadows are dark
 _FADE = 0.6  # of what is doubtful
+_ROW = 512
 
 
 def draw_surfaces(
@@ -49,8 +50,13 @@ def draw_surfaces(
     seen = paint(np.dstack([panorama.astype(np.float32), clouded]), depth.grid, ends)
     far = (depth.depth > limits.max_depth).astype(np.float32)
     hidden = np.where(hit, _FADE * seen[..., 3], 1 - paint(far, depth.grid, rays))[..., None]
-    colors = 255 * (seen[..., :3] / 255).clip(0, 1) ** np.float32(_BRIGHTER)
-    return np.asarray(colors + hidden * (BACKGROUND - colors), np.uint8)
+    colors = brighter(seen[..., :3])
+    return np.asarray(colors + hidden * (np.float32(BACKGROUND) - colors), np.uint8)
+
+
+def brighter(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours from 0 to 255 with their shadows lifted, as the page of a world shows them."""
+    return np.asarray(255 * (colors / 255).clip(0, 1) ** np.float32(_BRIGHTER), np.uint8)
 
 
 def around(distance: float, yaw: float, pitch: float) -> Pose:
@@ -143,13 +149,18 @@ def view_rays(T_world_view: Pose, focal: float, size: tuple[int, int]) -> NDArra
 
 
 def paint(panorama: NDArray[Any], grid: SphereGrid, rays: NDArray[np.float32]) -> NDArray[Any]:
-    """Return what a panorama of any size, (h, w) or (h, w, 3), shows along rays (H, W, 3)."""
+    """Return what a panorama of any size, (h, w) or (h, w, 3), shows along rays (..., 3)."""
     height, width = panorama.shape[:2]
     low, high = np.radians(grid.phi_deg).astype(np.float32)
-    x, y, z = np.moveaxis(rays, -1, 0)
-    column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * width - np.float32(0.5)
+    x, y, z = rays.reshape(-1, 3).T
+    column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * width + np.float32(0.5)
     row = (np.arctan2(y, np.hypot(x, z)) - low) * (height / (high - low)) - np.float32(0.5)
-    wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], 1)
-    return cv2.remap(
-        wrapped, column + 1, row.clip(0, height - 1), cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+    # In rows of some length, since OpenCV takes none of more than 32767.
+    count, missing = len(column), -len(column) % _ROW
+    columns, rows = (
+        np.pad(one, (0, missing)).reshape(-1, _ROW) for one in (column, row.clip(0, height - 1))
     )
+    wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], 1)
+    seen = cv2.remap(wrapped, columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    values = seen.reshape(-1, *panorama.shape[2:])[:count]
+    return values.reshape(*rays.shape[:-1], *panorama.shape[2:])

@@ -7,10 +7,11 @@ RECORDING/world/
   trajectory_seconds.txt              the same with times for numbers, where the recording states
                                       them
   mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
+  flight.mp4                          with --video: a flight along the path
   world.rrd                           with --rrd: images, points, path and surface for Rerun
   omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the
                                       images: a data set
-  index.html                          the surface seen from the path, a plan, and one frame before
+  index.html                          the surface seen from the path, a plan, and frames before
                                       and after
   steps.json, world.json              the steps found so far, and what the rest was computed with
 
@@ -58,6 +59,7 @@ from omnistereo_tools.world.refine import mix, moving_rays
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
 _JUMP, _BETWEEN = 2.5, 1.2  # of the median step; of a step, by way of another frame
+_LOOP = 4.0  # a way of more times the distance, and of more metres, comes back
 _BLACK = 8.0  # of 255: nearly all pixels are darker
 _LOST = 3  # frames without a sure step, after which the path begins anew
 
@@ -185,16 +187,49 @@ class RecordedFrames:
 
     def panorama(self, frame: Frame, inverse_depth: NDArray[Any]) -> NDArray[np.float32]:
         """Return what a frame shows at an inverse depth (H, W): (H, W, channels), 0 to 255."""
-        index = self.grid.inverse_depth_to_index(inverse_depth).clip(0, self.grid.num_spheres - 1)
-        depth = Depth(
-            index.astype(np.float32),
-            np.zeros(self.grid.shape, np.float32),
-            self.sweep_of(frame),
-            frame.images,
-        )
         # Gray images among colour ones are colour.
-        color = blended_panorama(depth).reshape(*self.grid.shape, -1)
+        color = blended_panorama(self.depth(frame, inverse_depth)).reshape(*self.grid.shape, -1)
         return np.broadcast_to(color, (*self.grid.shape, self.channels))
+
+    def depth(self, frame: Frame, inverse_depth: NDArray[Any]) -> Depth:
+        """Return an inverse depth (H, W) of a frame as a result; its confidence is 0."""
+        index = self.grid.inverse_depth_to_index(inverse_depth).clip(0, self.grid.num_spheres - 1)
+        confidence = np.zeros(self.grid.shape, np.float32)
+        return Depth(index.astype(np.float32), confidence, self.sweep_of(frame), frame.images)
+
+    def holes_percent(self, volume: Volume, poses: dict[int, Pose]) -> float:
+        """Return how many percent of what frames see within the range has no surface behind it, of
+        five frames along the path.
+        """
+        rays, numbers, shares = self.grid.rays(), list(poses), []
+        for k in np.unique(np.linspace(0, len(numbers) - 1, 5).astype(int)):
+            near = self.data.frame(numbers[k]).inverse_depth > 1 / volume.reach
+            fused, _ = volume.march(poses[numbers[k]], rays, _FARTHEST * volume.reach)
+            shares.append(np.isnan(fused[near]).mean() if near.any() else 0.0)
+        return 100 * float(np.mean(shares))
+
+    def drift(self, poses: dict[int, Pose]) -> float | None:
+        """Return by how many metres the path is off where it comes back to where it was, by what
+        the two frames there show; None where it does not come back.
+        """
+        numbers, places = list(poses), np.stack([pose.t for pose in poses.values()])
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        metres = np.append(0, np.cumsum(steps))
+        apart = np.linalg.norm(places[:, None] - places, axis=-1)
+        way = np.abs(metres[:, None] - metres)
+        near = (apart <= _JUMP * np.median(steps)) & (way > _LOOP * apart) & (way > _LOOP)
+        if not near.any():
+            return None
+        k, late = sorted(np.unravel_index(np.where(near, way, 0).argmax(), way.shape))
+        a, b = numbers[k], numbers[late]
+        by_path = poses[a].inverse() @ poses[b]
+        one, other = (self._sighting(self.data.frame(n)) for n in (a, b))
+        found = rig_step(self.sweep.rig, one, other, by_path)
+        return (by_path.inverse() @ found.T).magnitude()[1] if found.sure else None
+
+    def _sighting(self, frame: Frame) -> Sighting:
+        finder = SightingFinder(self.sweep_of(frame).rig, self.grid)
+        return finder.find(frame.images, frame.inverse_depth)
 
     def view(self, frame: Frame, pose: Pose, colored: bool = True) -> View:
         """Return what a frame knows of the world."""
@@ -232,8 +267,7 @@ class RecordedFrames:
             if frame.number not in seen:
                 for k in _black_cameras(frame):
                     say(f"camera {k} of frame {frame.number} is black")
-                finder = SightingFinder(self.sweep_of(frame).rig, self.grid)
-                seen[frame.number] = finder.find(frame.images, frame.inverse_depth)
+                seen[frame.number] = self._sighting(frame)
             return seen[frame.number]
 
         for k in range(1, total):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,8 @@ from omnistereo_tools.world.surface import Surface
 
 _MOST_TRIANGLES = 450_000  # of the page, which stays below 5 MB
 _STEPS = 65535  # of a coordinate on the page
+_SAME = 0.12  # of a distance: a frame sees a surface that is no farther from its depth
+MOST_VIEWS, VIEW_WIDTH = 24, 1280  # of the page; px of each panorama
 
 
 def write_surface(folder: Path, surface: Surface) -> None:
@@ -42,36 +46,65 @@ def _colors(surface: Surface) -> NDArray[np.uint8]:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class PageView:
+    """A frame on the page: what it has seen, which colours the surface, and its depth."""
+
+    number: int
+    pose: Pose  #: rig → world
+    panorama: NDArray[np.uint8]  #: RGB, any size, of the whole grid
+    own: NDArray[np.float32]  #: inverse depth by itself, (H, W), 1/m
+    refined: NDArray[np.float32]  #: and after fusing all frames
+
+
 def world_page(
     surface: Surface,
     poses: Mapping[int, Pose],
-    number: int,
-    own: NDArray[np.float32],
-    refined: NDArray[np.float32],
+    views: Sequence[PageView],
     grid: SphereGrid,
+    farthest: float,
     title: str,
+    sentences: Sequence[str],
 ) -> str:
-    """Return the page, in one piece: the surface seen from the path, the path on a plan, one frame
+    """Return the page, in one piece: the surface seen from the path, the path on a plan, frames
     before and after.
 
     Args:
         poses: Rig → world, of each frame.
-        number: Of the frame that is shown.
-        own, refined: Its inverse depth, (H, W), 1/m.
+        views: Frames along the path.
+        farthest: Metres up to which depth was fused.
         title: The verdict on the world.
+        sentences: What carries it.
     """
     small = _coarser(surface)
     low = small.vertices.min(axis=0)
     size = np.maximum(small.vertices.max(axis=0) - low, 1e-6)
+    chosen = choose_views(small, views, grid)
+    order = np.argsort(chosen, kind="stable")
     data = {
         "title": title,
+        "words": " ".join(sentences),
         "count": len(small.vertices),
         "triangles": len(small.faces),
         "low": low.tolist(),
         "size": size.tolist(),
         "vertices": packed((_STEPS * (small.vertices - low) / size).round().astype("<u2").T),
         "colors": packed(_colors(small).T),
-        "faces": packed(small.faces.astype("<u4").T),
+        "faces": packed(small.faces[order].astype("<u4").T),
+        "plain": int((chosen < 0).sum()),
+        "phi": np.radians(grid.phi_deg).tolist(),
+        "views": [
+            {
+                "number": view.number,
+                "triangles": int((chosen == k).sum()),
+                "turn": view.pose.R.ravel().tolist(),
+                "place": view.pose.t.tolist(),
+                "picture": webp(panorama_with_far(view, farthest), 70),
+                "before": webp(colorize_depth(view.own, grid), 80),
+                "after": webp(colorize_depth(view.refined, grid), 80),
+            }
+            for k, view in enumerate(views)
+        ],
         "path": [
             {
                 "number": n,
@@ -81,16 +114,38 @@ def world_page(
             for n, pose in poses.items()
         ],
     }
-    for name, inverse, words in (
-        ("before", own, "by itself"),
-        ("after", refined, "after fusing all frames"),
-    ):
-        picture = webp(colorize_depth(inverse, grid), 80)
-        data[name] = {
-            "picture": picture,
-            "caption": f"Depth of frame {number} {words}; near is bright.",
-        }
     return page_of(data, "world.html", ("data.js", "gl.js", "world.js"))
+
+
+def panorama_with_far(view: PageView, farthest: float) -> NDArray[np.uint8]:
+    """Return a panorama as RGBA: half transparent where there is something within the range, so
+    that a browser that multiplies by it loses one bit.
+    """
+    far = (view.refined < 1 / farthest).astype(np.float32)
+    alpha = 128 + 127 * cv2.resize(far, view.panorama.shape[1::-1])
+    return np.dstack([view.panorama, alpha.astype(np.uint8)])
+
+
+def choose_views(
+    surface: Surface, views: Sequence[PageView], grid: SphereGrid
+) -> NDArray[np.int64]:
+    """Return for each triangle the view that shows it largest, -1 where none sees it."""
+    corners = surface.vertices[surface.faces]
+    middle = corners.mean(axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    best, chosen = np.zeros(len(middle)), np.full(len(middle), -1)
+    for k, view in enumerate(views):
+        seen = (middle - view.pose.t) @ view.pose.R
+        distance = np.linalg.norm(seen, axis=1)
+        inverse, inside = grid.look_up(view.refined, seen)
+        # Nothing is before it: a panorama that ends there shows it.
+        inside &= np.abs(inverse * distance - 1) < _SAME
+        facing = ((view.pose.t - middle) * normals).sum(axis=1) / distance
+        size = np.where(inside, facing / distance**2, 0)
+        chosen[size > best] = k
+        best = np.maximum(best, size)
+    return chosen
 
 
 def _coarser(surface: Surface) -> Surface:

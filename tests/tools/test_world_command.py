@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import scene
@@ -46,7 +47,7 @@ def recording(tmp_path_factory):
     return folder
 
 
-COMMAND = ["--voxel", "0.1"]
+COMMAND = ["--voxel", "0.1", "--video"]
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +87,34 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.iterdir()} == before
     assert cli.main(["world", str(recording), "--voxel", "0.2"]) == 0
     assert (out / "steps.json").stat().st_mtime_ns == before[out / "steps.json"]
+
+
+def test_how_good_the_world_is_is_said_and_a_flight_is_drawn(recording, world, capsys):
+    frames = RecordedFrames.open(recording)
+    page = (world / "index.html").read_text()
+    said = re.search(r"within 30 m, (\d+) % has no surface.*its drift is unknown", page)
+    assert int(said[1]) <= 10
+    video = cv2.VideoCapture(str(world / "flight.mp4"))
+    read = []
+    while (found := video.read())[0]:
+        read.append(found[1])
+    assert len(read) in (2, 3) and read[0].shape == (1080, 1920, 3)  # 0.3 m at 3 m/s
+    panorama = frames.panorama(frames.data[0], frames.data[0].inverse_depth)[..., 0]
+    expected = 255 * (panorama[18:22, 78:82] / 255) ** 0.8
+    height = len(read[0]) - 44 - 240
+    ahead = read[0][round(0.45 * height) - 60 : round(0.45 * height) + 60, 900:1020]
+    assert ahead.mean() == pytest.approx(expected.mean(), abs=25)
+
+
+def test_a_path_that_comes_back_says_by_how_much_it_is_off(recording):
+    """The third frame is really 0.3 m from the first."""
+    frames, forward = RecordedFrames.open(recording), np.array([0, 0, 1.0])
+    for z, expected in ((0.35, 0.05), (0.3, 0.0)):
+        places = {1: 0 * forward, 2: 3 * forward, 3: z * forward}
+        off = frames.drift({n: osl.Pose(np.eye(3), place) for n, place in places.items()})
+        assert off == pytest.approx(expected, abs=0.01)
+    places = {n: n * forward for n in (1, 2, 3)}
+    assert frames.drift({n: osl.Pose(np.eye(3), place) for n, place in places.items()}) is None
 
 
 READ = """
@@ -136,10 +165,32 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
         column = 80 + round(160 * yaw / (2 * np.pi))
         expected = 255 * (panorama[16:24, column - 4 : column + 4] / 255) ** 0.8
         assert middle(page, yaw, degrees=9).mean() == pytest.approx(expected.mean(), abs=6)
+    # Measured along two rays to the walls, and between their ends.
+    ends = []
+    for yaw in (0, 1.5):
+        ends.append(
+            page.evaluate(
+                "(yaw) => { view.yaw = yaw; return placeAt(canvas.width / 2, canvas.height / 2) }",
+                yaw,
+            )
+        )
+        way = np.array([np.sin(yaw), 0, np.cos(yaw)])
+        np.testing.assert_allclose(ends[-1], scene.distance(np.zeros(3), way) * way, atol=0.06)
+        page.evaluate("pick(canvas.width / 2, canvas.height / 2)")
+    assert (
+        page.inner_text("#told")
+        == f"{np.linalg.norm(np.subtract(*ends)):.2f} m between the two marks."
+    )
     at_ends = []
     for key in ("Home", "End"):
         page.press("#along", key)
         page.wait_for_selector(f"body[data-drawn='{0 if key == 'Home' else 2}']")
+        number = 1 if key == "Home" else 3
+        assert f"frame {number} by itself" in page.inner_text("#pictures")
+        assert page.evaluate(
+            "n => $('before').src === D.views[n - 1].before && $('after').src === D.views[n - 1].after",
+            number,
+        )
         at_ends.append(
             (
                 page.inner_text("#place"),
@@ -166,7 +217,7 @@ def middle(page, yaw, degrees):
             Object.assign(view, { yaw, pitch: 0, behind: 0 })
             draw()
             const gl = canvas.getContext("webgl2"), [w, h] = [canvas.width, canvas.height]
-            const half = Math.round(0.7 * Math.max(w, h) * Math.tan(degrees * Math.PI / 180)), side = 2 * half
+            const half = Math.round(seen().focal * Math.tan(degrees * Math.PI / 180)), side = 2 * half
             const [x, y] = [w, h].map(size => Math.round(size / 2) - half), read = new Uint8Array(4 * side * side)
             gl.readPixels(x, y, side, side, gl.RGBA, gl.UNSIGNED_BYTE, read)
             return [...read]

@@ -29,7 +29,7 @@ function program(gl, { vertex, fragment }, parts = [], textures = []) {
     if (!(name in kinds)) return;
     const { at, whole } = kinds[name];
     if (whole) gl.uniform1i(at, value);
-    else if (name === "axes") gl.uniformMatrix3fv(at, false, value);
+    else if (value.length === 9) gl.uniformMatrix3fv(at, false, value);
     else if (Array.isArray(value)) gl[`uniform${value.length}fv`](at, value);
     else gl.uniform1f(at, value);
   } };

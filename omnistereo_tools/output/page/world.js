@@ -2,6 +2,7 @@
 "use strict";
 
 const canvas = $("view"), plan = $("plan"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const PRESS = matchMedia("(pointer: coarse)").matches ? "Tap" : "Click";
 const METRES_A_SECOND = 4, FARTHEST = 60, NEAREST = 0.05;
 const start = { yaw: 0, pitch: 0.15, behind: 6 };
 const view = { at: 0, ...start };  // metres on the path; how the reader looks, relative to the rig
@@ -17,24 +18,78 @@ const SURFACE = {
     uniform vec3 low, size, place;
     uniform mat3 axes;
     uniform float focal, behind, nearest;
-    out vec3 tint;
+    out vec3 tint, point;
     void main() {
-      vec3 d = axes * (low + size * vec3(x, y, z) - place) + vec3(0, 0, behind);
+      point = low + size * vec3(x, y, z);
+      vec3 d = axes * (point - place) + vec3(0, 0, behind);
       gl_Position = vec4(2.0 * focal / view * vec2(d.x, -d.y), d.z - 2.0 * nearest, d.z);
       tint = vec3(red, green, blue);
     }`,
   fragment: `
     precision highp float;
-    in vec3 tint;
+    in vec3 tint, point;
+    uniform bool pictured;  // the colours are those of a frame's panorama, seen from its place
+    uniform sampler2D picture;
+    uniform mat3 turn;
+    uniform vec3 from;
+    uniform vec2 phi;
     out vec4 color;
-    void main() { color = vec4(pow(tint, vec3(0.8)), 1); }`,  // shadows are dark
+    void main() {
+      vec3 d = turn * (point - from), seen = tint;
+      vec2 at = vec2(atan(d.x, d.z) / 6.283185307 + 0.5, (atan(d.y, length(d.xz)) - phi.x) / (phi.y - phi.x));
+      if (pictured) seen = textureLod(picture, at, 0.0).rgb;
+      color = vec4(pow(seen, vec3(0.8)), 1);  // shadows are dark
+    }`,
 };
+
+// What is beyond the surface, as the frame nearest to the reader has seen it.
+const SKY = {
+  vertex: `
+    void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`,
+  fragment: `
+    precision highp float;
+    uniform sampler2D picture;
+    uniform mat3 axes, turn;
+    uniform vec2 view, phi;
+    uniform float focal;
+    out vec4 color;
+    void main() {
+      vec3 d = turn * (vec3((gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1), 1) * axes);
+      vec2 at = vec2(atan(d.x, d.z) / 6.283185307 + 0.5, (atan(d.y, length(d.xz)) - phi.x) / (phi.y - phi.x));
+      vec4 seen = textureLod(picture, at, 0.0);
+      float shown = smoothstep(0.7, 0.9, seen.a) * smoothstep(-0.3, 0.1, at.y);
+      color = vec4(mix(vec3(0.125), pow(seen.rgb, vec3(0.8)), shown), 1);
+    }`,
+};
+
+let corners;  // of the triangles, in metres
+const measured = [];  // places that were picked
+async function imageOf(source) {
+  const image = new Image();
+  image.src = source;
+  await image.decode();
+  return image;
+}
+
+// The panorama of a frame, circular in its columns.
+async function pictureTexture(gl, { picture }) {
+  const image = await imageOf(picture);
+  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  return gl.getParameter(gl.TEXTURE_BINDING_2D);
+}
 
 // A function that draws the surface on the canvas as it is seen from somewhere.
 async function makeDraw(gl) {
   const [vertices, colors, planar] = await Promise.all(
     [[D.vertices, D.count, Uint16Array], [D.colors, D.count, Uint8Array], [D.faces, D.triangles, Uint32Array]].map(each => unpacked(...each)));
-  const faces = planar.map((_, k) => planar[k % 3 * D.triangles + Math.floor(k / 3)]), used = program(gl, SURFACE);
+  const faces = planar.map((_, k) => planar[k % 3 * D.triangles + Math.floor(k / 3)]), used = program(gl, SURFACE, [], ["picture"]);
+  const sky = program(gl, SKY, [], ["picture"]), place = (vertex, axis) => D.low[axis] + D.size[axis] * vertices[axis * D.count + vertex] / 65535;
+  corners = Float32Array.from({ length: 3 * faces.length }, (_, k) => place(faces[Math.floor(k / 3)], k % 3));
+  const textures = [];
+  for (const view of D.views) textures.push(await pictureTexture(gl, view));
   for (const [first, values, type] of [[0, vertices, gl.UNSIGNED_SHORT], [3, colors, gl.UNSIGNED_BYTE]]) {
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
@@ -50,9 +105,26 @@ async function makeDraw(gl) {
   return seen => {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const values = { low: D.low, size: D.size, view: [canvas.width, canvas.height], nearest: NEAREST, ...seen, axes: axesOf(seen.turn) };
+    const values = { low: D.low, size: D.size, view: [canvas.width, canvas.height], nearest: NEAREST, phi: D.phi, ...seen, axes: axesOf(seen.turn) };
+    if (seen.sky) {
+      gl.useProgram(sky.program);
+      gl.bindTexture(gl.TEXTURE_2D, textures[D.views.indexOf(seen.sky)]);
+      for (const [name, value] of Object.entries({ ...values, turn: seen.sky.turn })) sky.set(name, value);
+      gl.disable(gl.DEPTH_TEST);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.enable(gl.DEPTH_TEST);
+    }
+    gl.useProgram(used.program);
     for (const [name, value] of Object.entries(values)) used.set(name, value);
-    gl.drawElements(gl.TRIANGLES, 3 * D.triangles, gl.UNSIGNED_INT, 0);
+    used.set("pictured", 0);
+    gl.drawElements(gl.TRIANGLES, 3 * D.plain, gl.UNSIGNED_INT, 0);
+    let done = D.plain;  // triangles; those of one view follow each other
+    D.views.forEach((view, k) => {
+      gl.bindTexture(gl.TEXTURE_2D, textures[k]);
+      for (const [name, value] of Object.entries({ pictured: 1, turn: view.turn, from: view.place })) used.set(name, value);
+      gl.drawElements(gl.TRIANGLES, 3 * view.triangles, gl.UNSIGNED_INT, 12 * done);
+      done += view.triangles;
+    });
   };
 }
 
@@ -65,13 +137,76 @@ function poseAt(metres) {
   return { k: share < 0.5 ? k : k + 1, place: a.place.map((x, i) => x + share * (b.place[i] - x)), heading: a.heading + share * turn };
 }
 
+// How the reader looks; focal: pixels of the canvas per radian.
+function seen() {
+  const { k, place, heading } = poseAt(view.at);
+  return { k, place, turn: [heading + view.yaw, view.pitch], behind: view.behind, focal: 0.6 * Math.max(canvas.width, canvas.height) };
+}
+
 let surface, background;
 function draw() {
-  const { k, place, heading } = poseAt(view.at), focal = 0.7 * Math.max(canvas.width, canvas.height);
-  surface({ place, turn: [heading + view.yaw, view.pitch], behind: view.behind, focal });
+  const now = seen(), { k, place, turn } = now, frame = nearestView(D.path[k].number);
+  surface({ ...now, sky: frame });
   $("place").textContent = `frame ${D.path[k].number}, ${view.at.toFixed(1)} of ${along.at(-1).toFixed(1)} m`;
-  drawPlan(place, heading + view.yaw);
+  drawPlan(place, turn[0]);
+  drawMarks(now);
+  showFrame(frame);
   document.body.dataset.drawn = k;
+}
+
+const nearestView = number => D.views.reduce((a, b) => Math.abs(b.number - number) < Math.abs(a.number - number) ? b : a);
+
+// The depth of the frame nearest to where the reader is, before and after.
+let shownFrame = null;
+function showFrame(nearest) {
+  if (nearest === shownFrame) return;
+  shownFrame = nearest;
+  for (const [name, words] of [["before", "by itself"], ["after", "as all frames know it"]]) {
+    $(name).src = nearest[name];
+    $(name).nextElementSibling.textContent = `Depth of frame ${nearest.number} ${words}; near is bright.`;
+  }
+}
+
+// --- Measuring -------------------------------------------------------------------------------------------------------
+
+const less = (a, b) => a.map((x, i) => x - b[i]), dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+// The first place of the surface at a pixel of the canvas, in metres; nothing where there is none.
+function placeAt(x, y) {
+  const { place, turn, behind, focal } = seen(), axes = axesOf(turn);
+  const toWorld = d => [0, 1, 2].map(i => dot(axes.slice(3 * i, 3 * i + 3), d));
+  const way = toWorld([(x - canvas.width / 2) / focal, (y - canvas.height / 2) / focal, 1]);
+  const eye = toWorld([0, 0, -behind]).map((value, i) => value + place[i]);
+  let nearest = Infinity;
+  for (let k = 0; k < corners.length; k += 9) {
+    const a = corners.slice(k, k + 3), ab = less(corners.slice(k + 3, k + 6), a), ac = less(corners.slice(k + 6, k + 9), a);
+    const p = cross(way, ac), scale = dot(ab, p), from = less(eye, a), u = dot(from, p) / scale;
+    if (!(scale > 0 && u >= 0 && u <= 1)) continue;  // the reader sees no triangle from behind
+    const q = cross(from, ab), v = dot(way, q) / scale, t = dot(ac, q) / scale;
+    if (v >= 0 && u + v <= 1 && t > NEAREST && t < nearest) nearest = t;
+  }
+  return nearest < Infinity ? eye.map((value, i) => value + nearest * way[i]) : null;
+}
+
+// The first two places are measured, a third begins again.
+function pick(x, y) {
+  const found = placeAt(x, y), apart = (a, b) => `${Math.hypot(...less(a, b)).toFixed(2)} m`;
+  if (found && measured.push(found) > 2) measured.splice(0, 2);
+  const [a, b] = measured;
+  $("told").textContent = !found ? "There is no surface: no frame has seen this."
+    : b ? `${apart(a, b)} between the two marks.` : `${apart(a, seen().place)} from the rig. ${PRESS} a second place to measure.`;
+  changed();
+}
+
+function drawMarks({ place, turn, behind, focal }) {
+  const axes = axesOf(turn), density = canvas.width / canvas.clientWidth;
+  const at = measured.map(point => {
+    const d = less(point, place), [right, down, ahead] = [0, 1, 2].map(i => axes[i] * d[0] + axes[3 + i] * d[1] + axes[6 + i] * d[2]);
+    return [right, down].map((x, i) => (x * focal / (ahead + behind) + [canvas.width, canvas.height][i] / 2) / density);
+  });
+  $("marks").innerHTML = at.map(([x, y]) => `<circle cx="${x}" cy="${y}" r="8"/>`).join("")
+    + (at.length > 1 ? `<line x1="${at[0][0]}" y1="${at[0][1]}" x2="${at[1][0]}" y2="${at[1][1]}"/>` : "");
 }
 
 // The plan is the surface from high above; across the page lies the way from the first frame to the last.
@@ -157,11 +292,21 @@ function fly() {
 }
 
 $("fly").onclick = fly;
-$("reset").onclick = () => { land(); Object.assign(view, start); moveTo(0); changed(); };
+$("reset").onclick = () => { land(); Object.assign(view, start); measured.length = 0; moveTo(0); changed(); };
 $("along").oninput = () => { land(); view.at = Math.min(+$("along").value, along.at(-1)); changed(); };
 
 const fingers = new Map();
-canvas.addEventListener("pointerdown", e => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, e); });
+let pressed = null;  // where a click begins; a drag is none
+canvas.addEventListener("pointerdown", e => {
+  canvas.setPointerCapture(e.pointerId);
+  fingers.set(e.pointerId, e);
+  pressed = fingers.size === 1 ? e : null;
+});
+canvas.addEventListener("pointerup", e => {
+  if (!pressed || Math.hypot(e.clientX - pressed.clientX, e.clientY - pressed.clientY) > 6) return;
+  const box = canvas.getBoundingClientRect(), density = canvas.width / box.width;
+  pick((e.clientX - box.left) * density, (e.clientY - box.top) * density);
+});
 for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => fingers.delete(e.pointerId));
 canvas.addEventListener("pointermove", e => {
   const before = fingers.get(e.pointerId), other = [...fingers.values()].find(finger => finger.pointerId !== e.pointerId);
@@ -178,14 +323,13 @@ canvas.addEventListener("keydown", e => {
   if (e.key === "+") approach(0.8);
   if (e.key === "-") approach(1.25);
   if (e.key === " ") fly();
+  if (e.key === "Enter") pick(canvas.width / 2, canvas.height / 2);
 });
 
 (async () => {
   $("title").textContent = D.title;
-  for (const name of ["before", "after"]) {
-    $(name).src = D[name].picture;
-    $(name).nextElementSibling.textContent = D[name].caption;
-  }
+  $("words").textContent = D.words;
+  $("told").textContent = `Drag to look around, wheel or pinch to come closer. ${PRESS} a place to measure.`;
   const gl = canvas.getContext("webgl2", { alpha: false });
   if (!gl) {
     $("title").textContent = "This browser has no WebGL 2, which the surface needs. mesh.glb, beside this page, opens in other programs.";

@@ -13,6 +13,7 @@ from omnistereo_rigs.images.features import FeatureFinder
 from omnistereo_tools.world.build import jumps_past_others
 from omnistereo_tools.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_tools.world.motion import SightingFinder, rig_step
+from omnistereo_tools.world.page import PageView, choose_views
 from omnistereo_tools.world.refine import mix, moving_rays
 from omnistereo_tools.world.surface import extract_surface
 
@@ -107,6 +108,23 @@ def test_the_mesh_is_closed_and_lies_on_the_surface(sphere):
     assert mesh.is_watertight
     # it faces the rig, which is inside
     assert mesh.volume == pytest.approx(-4 / 3 * np.pi * RADIUS**3, rel=0.01)
+
+
+def test_a_triangle_is_coloured_by_the_frame_that_shows_it_largest(sphere):
+    surface, places = extract_surface(sphere), np.array([[0.0, 0, 2], [0, 0, -2]])
+    views = []
+    for number, place in enumerate(places):
+        inverse = (1 / in_sphere(place)).astype(np.float32)
+        inverse[:, :40] = 4  # something is nearer there
+        panorama = np.zeros((*GRID.shape, 3), np.uint8)
+        views.append(PageView(number, osl.Pose(np.eye(3), place), panorama, inverse, inverse))
+    chosen = choose_views(surface, views, GRID)
+    middle = surface.vertices[surface.faces].mean(axis=1)
+    away = np.linalg.norm(middle - places[:, None], axis=-1)
+    hidden = np.stack([GRID.project(middle - place)[0][:, 0] < 38 for place in places])
+    clear = ~hidden.any(0) & (np.abs(away[0] - away[1]) > 1)
+    assert (chosen[clear] == (away[1] < away[0])[clear]).mean() > 0.98
+    assert (chosen[hidden.all(0)] == -1).all() and hidden.all(0).sum() > 100
 
 
 def test_what_other_frames_see_through_is_carved():
