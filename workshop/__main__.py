@@ -38,6 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
         "publish.pages.main",
         "update the lists and pictures of the README and the book's pages",
     )
+    answers = add("answers", "publish.answers.renew", "run the worked answers of book/answers.md")
+    answers.add_argument("numbers", nargs="+", metavar="NUMBER", help="of a notebook, such as 03")
     add(
         "reproduction",
         "publish.reproduction.renew_report",

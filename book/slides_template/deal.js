@@ -30,7 +30,7 @@ document.addEventListener("DOMContentLoaded", async () => {
     for (const piece of pieces) {
       Object.assign(piece.style, { zoom: "", display: "", minHeight: "", overflowY: "" })
       if (!page) turn(true)
-      else if (piece.matches("h2, h3") && (isHalf() || column === slides.firstChild)) turn(piece.matches("h2"))
+      else if (piece.matches("h2, h3") && (piece.matches(".slide") || isHalf() || column === slides.firstChild)) turn(piece.matches("h2"))
       page.append(piece)
       if (isFull() && page.firstChild !== piece) {
         const before = piece.previousSibling

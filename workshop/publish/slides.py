@@ -1,14 +1,16 @@
 """Make slides of the notebooks: `make slides`, or `python -m workshop slides FOLDER`.
 
 nbconvert writes each notebook as one page, and deal.js, beside it, deals the page out to slides in
-the browser: it begins a slide at each heading, and where the next piece does not fit. Nothing has
-to be marked in a notebook; `shown` says what the slides show of it. A cell with the tag `skip` is
-left out.
+the browser: it begins a slide at each heading, and where the next piece does not fit. Slides
+that were written, in book/slides/NUMBER.yaml, show an idea each, with one figure, formula or
+function of the notebook and a sentence. Of the other notebooks `cut` says what is shown; a cell
+with the tag `skip` is left out.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides
 need no network.
 """
 
+import copy
 import html
 import io
 import itertools
@@ -19,6 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import nbformat
+import yaml
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
 from nbformat.v4 import new_markdown_cell, new_notebook, new_output
@@ -36,11 +39,13 @@ MATHJAX = Path(
 )
 BOOK = nbtools.ROOT / "book"
 TEMPLATE = BOOK / "slides_template"
+WRITTEN = BOOK / "slides"
 SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
 LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
 BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
 SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
 DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
+SHOWN = re.compile(r'\bshow\(.*, "([^"]+)"\)')  # the name of a figure
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
@@ -134,6 +139,44 @@ def print_slides(pages: list[Path]) -> None:
 
 
 def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
+    """Yield the cells of a notebook's slides."""
+    script = WRITTEN / f"{stem.partition('_')[0]}.yaml"
+    yield from written(nb, script) if script.is_file() else cut(nb, stem, out)
+
+
+def written(nb: NotebookNode, script: Path) -> Iterator[NotebookNode]:
+    """Yield the cells of slides that were written: an idea, a sentence, what there is to see."""
+    first = nb.cells[0].source.partition("\n")[0]
+    yield new_markdown_cell(f"{first}\n\n{nb.metadata['omnistereo']['learn']}")
+    solutions = folded_solutions(nb)
+    for slide in yaml.safe_load(script.read_text(encoding="utf-8")):
+        formula = f"\n\n$$ {slide['formula']} $$" if "formula" in slide else ""
+        idea = html.escape(slide["idea"])
+        yield new_markdown_cell(f"<h2 class='slide'>{idea}</h2>\n\n{slide['say']}{formula}")
+        for cell in nbtools.code_cells(nb):
+            cell.metadata.setdefault("tags", [])
+            if slide.get("function") in {stub.name for stub in solve.stubs(cell.source)}:
+                yield cell
+                yield new_markdown_cell(solutions[slide["function"]])
+            names = SHOWN.findall(cell.source)
+            if slide.get("figure") in names:
+                pictures = [o for o in cell.outputs if {*nbtools.PICTURES} & {*o.get("data", {})}]
+                only = copy.deepcopy(cell)
+                only.outputs = [pictures[names.index(slide["figure"])]]
+                only.metadata.tags = ["hide-input"]
+                yield only
+
+
+def folded_solutions(nb: NotebookNode) -> dict[str, str]:
+    """Return the folds with the solutions of a notebook, without the docstrings its stubs have."""
+    text = "\n".join(cell.source for cell in nb.cells)
+    folds = {
+        fold[2]: DOCSTRING.sub("", fold[0], count=1) for fold in nbtools.SOLUTION.finditer(text)
+    }
+    return {name: f"{fold}\n```\n</details>" for name, fold in folds.items()}
+
+
+def cut(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
     """Yield the cells that the slides show of a notebook: what a room needs, the notebook has the
     rest.
 
@@ -143,10 +186,7 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
     errors and further reading at the end.
     """
     live, section = 0, ""
-    solutions = {
-        fold[2]: fold[0]
-        for fold in nbtools.SOLUTION.finditer("\n".join(cell.source for cell in nb.cells))
-    }
+    solutions = folded_solutions(nb)
     for cell in nb.cells:
         tags = cell.metadata.setdefault("tags", [])
         if cell.cell_type == "markdown":
@@ -163,9 +203,7 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
         elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
             yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
             yield cell
-            # the stub above has it
-            folds = (DOCSTRING.sub("", solutions[name], count=1) for name in stubs)
-            cell = new_markdown_cell("\n\n".join(f"{fold}\n```\n</details>" for fold in folds))
+            cell = new_markdown_cell("\n\n".join(solutions[name] for name in stubs))
         else:
             for _ in stills.LIVE.findall(cell.source):
                 figure = stills.shown(stem, live, out).replace(

@@ -23,7 +23,7 @@ from workshop.publish.readme import STREET
 
 BESIDE = (
     "what_you_write ten_minutes own_cameras conventions notation glossary prerequisites teaching"
-    " exam mistakes reproduction training data library promises elsewhere"
+    " exam answers mistakes reproduction training data library promises elsewhere"
 )
 REDIRECT = (
     '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{0}</title>\n'

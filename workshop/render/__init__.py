@@ -16,7 +16,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from threading import Thread
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError
 from omnistereo_lib.files import unpack
@@ -75,9 +74,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)"
     )
     parser.add_argument(
-        "--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines"
-    )
-    parser.add_argument(
         "--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})"
     )
     parser.add_argument(
@@ -93,9 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def render(
-    sets: list[str], frames: list[int] | None, shard: str, cluster: str | None, seed: int, out: Path
-) -> int:
+def render(sets: list[str], frames: list[int] | None, shard: str, seed: int, out: Path) -> int:
     """Render the frames that are missing, here or in Blender's environment; return the exit status.
 
     Raises:
@@ -105,14 +99,14 @@ def render(
     wanted = {name: select_shard(_numbers(name, frames), shard) for name in sets or ["sunny/test"]}
     if seed < 0:
         raise OmnistereoError(f"a seed is a whole number from 0 up, got {seed}")
-    if cluster is None and importlib.util.find_spec("bpy") is None:
+    if importlib.util.find_spec("bpy") is None:
         command = [_find_blender_python(), "-m", "workshop.render", *sets]
         command += ["--frames", *map(str, frames)] if frames else []
         command += ["--shard", shard, "--seed", str(seed), "--out", out.absolute()]
         return subprocess.run(command, cwd=_ROOT, check=False).returncode
     for name, numbers in wanted.items():
         unpack(out.absolute() / name)
-        _render(out.absolute() / name, name, numbers, seed, cluster)
+        _render(out.absolute() / name, name, numbers, seed)
     for folder in [archive.with_suffix("") for archive in out.rglob("*.zip")]:
         if any((out / name).is_relative_to(folder) for name in wanted):
             pack(folder)
@@ -132,24 +126,14 @@ def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
     return tuple(dict.fromkeys(frames)) if frames else images.shipped
 
 
-def _render(
-    folder: Path, name: str, numbers: tuple[int, ...], seed: int, cluster: str | None
-) -> None:
+def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
     from tqdm import tqdm
 
     missing = [number for number in numbers if not _is_done(folder, name, number, seed)]
-    if cluster is None:
-        finished = _render_here(folder, name, numbers, seed)
-    else:
-        from omnistereo_tools.record.cluster import on_cluster
-
-        finished = on_cluster(
-            cluster, _render_in_process, [(folder, name, number, seed) for number in missing]
-        )
     with tqdm(
         total=len(numbers), initial=len(numbers) - len(missing), desc=name, unit="frame"
     ) as bar:
-        for _ in finished:
+        for _ in _render_here(folder, name, numbers, seed):
             bar.update()
 
 
@@ -168,38 +152,6 @@ def _render_here(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -
         return render_worlds(folder, WORLDS[name], numbers, seed)
     forget_partial(folder, SETS[name], numbers)
     return render_set(folder, SETS[name], numbers, seed)
-
-
-def _render_in_process(frame: tuple[Path, str, int, int]) -> None:
-    """Render one frame (folder, name, number, seed) in a process of Blender's environment, as a
-    worker of a cluster.
-
-    Blender runs only in the main thread of a process, and a worker needs that one itself.
-    """
-    command = [
-        _find_blender_python(),
-        "-c",
-        "from workshop import render; render.run_for_worker()",
-        *map(str, frame),
-    ]
-    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-    with subprocess.Popen(
-        command, cwd=_ROOT, stdin=pipe, stdout=nowhere, stderr=pipe, text=True
-    ) as process:
-        errors = process.stderr.read()
-    if process.returncode:
-        raise OmnistereoError(
-            f"{frame[1]} {frame[2]} failed in Blender's environment: {errors.strip()[-1000:]}"
-        )
-
-
-def run_for_worker() -> None:
-    """Render the frame that the command line names; end when the worker that waits for it does."""
-    folder, name, number, seed = sys.argv[1:]
-    # its end closes the pipe
-    Thread(target=lambda: os.read(0, 1) or os._exit(1), daemon=True).start()
-    for _ in _render_here(Path(folder), name, (int(number),), int(seed)):
-        pass
 
 
 def _find_blender_python() -> Path:

@@ -1,10 +1,8 @@
-"""Rendered files without Blender: a frame is there whole or not at all; the command line, the
-workers of a cluster."""
+"""Rendered files without Blender: a frame is there whole or not at all; the command line."""
 
 import hashlib
 import itertools
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -222,69 +220,3 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
         "--out",
         str(tmp_path / "here"),
     ]
-
-
-# A worker of a cluster renders each frame in a process of its own; tests/tools/test_cluster.py
-# kills workers
-
-STAND_IN = """#!{python}
-import sys
-import time
-
-sys.path[:0] = {path}
-from render_stand_in import replace_blender
-
-from workshop.render import image_sets
-
-replace_blender(dict.__setitem__, setattr)
-_, code, *sys.argv[1:] = sys.argv[1:]
-if "998" in sys.argv:
-    image_sets._render_frame = lambda *_: time.sleep(600)
-if "999" in sys.argv:
-    raise MemoryError("a city too large")
-exec(code)
-"""
-
-
-@pytest.fixture
-def worker(no_blender, tmp_path, monkeypatch):
-    """This process is the worker; the path of what stands in for Blender's interpreter."""
-    python = tmp_path / "environment" / "bin" / "python"
-    python.parent.mkdir(parents=True)
-    path = [str(render._ROOT), str(render._ROOT / "tests")]
-    python.write_text(STAND_IN.format(python=sys.executable, path=path))
-    python.chmod(0o755)
-    monkeypatch.setattr(render, "_BLENDER_PYTHON", python)
-    cluster = SimpleNamespace(on_cluster=lambda address, work, frames: map(work, frames))
-    monkeypatch.setitem(sys.modules, "omnistereo_tools.record.cluster", cluster)
-    return python
-
-
-def test_a_worker_writes_what_a_local_run_does(worker, tmp_path):
-    for out, options in (("cluster", ["--cluster", "address"]), ("local", [])):
-        assert main(["--out", str(tmp_path / out), "--frames", "706", "731", *options]) == 0
-    assert contents(tmp_path / "cluster") == contents(tmp_path / "local")
-
-
-def test_what_fails_in_blender_is_told(worker, tmp_path, capsys):
-    assert main(["--out", str(tmp_path / "out"), "--frames", "999", "--cluster", "address"]) == 2
-    said = capsys.readouterr().err
-    assert (
-        "sunny/test 999 failed in Blender's environment: " in said
-        and "MemoryError: a city too large" in said
-    )
-
-
-def test_a_process_of_blender_ends_with_its_worker(worker, tmp_path):
-    command = [
-        worker,
-        "-c",
-        "from workshop import render; render.run_for_worker()",
-        tmp_path,
-        "sunny/test",
-        "998",
-        "0",
-    ]
-    with subprocess.Popen(command, cwd=render._ROOT, stdin=subprocess.PIPE) as process:
-        process.stdin.close()
-        assert process.wait(600) == 1
