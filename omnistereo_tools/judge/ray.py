@@ -184,7 +184,7 @@ SENTENCES = {
 NOTES = {
     "": "",
     "nearest": " It is hardly nearer than {nearest}.",
-    "edge": " There is an edge: something beside it is at {other}.",
+    "edge": " There is probably an edge: something beside it is at {other}.",
     "look-alike": " Nothing around it is at {other}: that only looks alike.",
 }
 

@@ -12,6 +12,8 @@ from omnistereo_tools.judge.trust import may_be_nearer
 from omnistereo_tools.output.points import Limits
 
 GOOD, _MISFIT = 20.0, 50.0  # percent of rays that are doubtful, at most
+# percent of rays at one distance, within a sphere of 192; of rendered scenes at most 78 are
+_SAME = 95.0
 _FEW = 0.002  # of the rays: fewer are noise, not a thing
 _NEAR = 0.1  # of the rays
 _UNSEEN = 0.05  # of the rays: worth saying
@@ -60,7 +62,7 @@ def depth_sentences(
         found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
     share = doubt_shares(depth.depth, doubtful)[0]
     sentences = [
-        verdict(share, doubt=doubt),
+        _one_distance(depth) or verdict(share, doubt=doubt),
         (
             f"{100 * known / rays:.0f} % of {rays} rays have a depth: {found}, "
             f"the median depth is {metres(float(np.nanmedian(depth.depth)))}."
@@ -73,6 +75,17 @@ def depth_sentences(
     ]
     # Where the rig does not fit, another nearest depth makes nothing better.
     return sentences + (_sphere_advice(depth, keep, nearest) if fits(share) and not doubt else [])
+
+
+def _one_distance(depth: Depth) -> str | None:
+    """Return the verdict on a depth that is the same all around, whatever its confidence."""
+    index = depth.index[depth.valid]
+    middle = float(np.median(index))
+    share = 100 * float((np.abs(index - middle) <= depth.grid.num_spheres / 192).mean())
+    if share < _SAME:
+        return None
+    distance = metres(float(depth.grid.index_to_depth(middle)))
+    return f"Bad: {share:.0f} % of rays are at one distance, {distance}: nothing is told apart."
 
 
 def _sphere_advice(depth: Depth, keep: NDArray[np.bool_], nearest: float) -> list[str]:

@@ -126,6 +126,18 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     assert f"use {depth.valid.sum()} rays" in third
 
 
+def test_a_depth_that_is_the_same_all_around_is_not_good(depth):
+    """As of a method of one's own that measures nothing, sure of it as it may be."""
+    sure, noise = np.ones(GRID.shape), np.random.default_rng(0).uniform(-0.2, 0.2, GRID.shape)
+    for index in (np.full(GRID.shape, 20.0), 20 + noise):
+        found = osl.Depth(index, sure, depth.sweep)
+        verdict = depth_sentences(found, Limits(1e9, 0.0), NOTHING)[0]
+        away = f"{GRID.index_to_depth(20):.2g} m"
+        assert verdict == f"Bad: 100 % of rays are at one distance, {away}: nothing is told apart."
+    off = osl.Depth(depth.index, sure, depth.sweep)
+    assert depth_sentences(off, Limits(1e9, 0.0), NOTHING)[0].startswith("Good")
+
+
 def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
     result = FrameResult(depth, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)

@@ -122,7 +122,7 @@ def table() -> str:
         count, right, sentence, _ = of.values()
         share = 100 * count / results["rays"]
         rows.append(f"| {text} | {share:.0f} % | {right} % | {sentence} % |")
-    for note, of in results.get("notes", {}).items():
+    for note, of in results["notes"].items():
         text = NOTES[note].strip().format(other="12.8 m", nearest="4.71 m")
         share = 100 * of["rays"] / results["rays"]
         rows.append(f"| … {text} | {share:.0f} % | | {of['right, %']} % |")
