@@ -1,6 +1,4 @@
-"""What a calibration board is: corners whose places are known, and a way to find them in an
-image.
-"""
+"""A calibration board: corners whose places are known, and a way to find them in an image."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -30,9 +28,7 @@ class Board(ABC):
 
     @property
     def symmetries(self) -> tuple[NDArray[np.int64], ...]:
-        """Corner permutations that leave the pattern unchanged, each of shape (K,); identity
-        first.
-        """
+        """Corner permutations, each (K,), that leave the pattern unchanged; identity first."""
         return (np.arange(len(self.points)),)
 
     def symmetry_pose(self, symmetry: NDArray[np.int64]) -> Pose:
@@ -41,9 +37,7 @@ class Board(ABC):
 
     @abstractmethod
     def find_corners(self, gray: Gray) -> Floats | None:
-        """Return the corners in an image, (K, 2) px in the order of `points`, NaN where not
-        visible, or None.
-        """
+        """Return the corners, (K, 2) px as `points`, NaN where not visible; None: no board."""
 
     def advice(self, grays: Sequence[Gray]) -> str:
         """Return what to do if none of the images shows the board."""
@@ -51,9 +45,7 @@ class Board(ABC):
 
 
 def check_edge(edge: Any, what: str) -> float:
-    """Return the edge of a square or a tag, 0.1 mm to 1 m, as float; above, it is taken for another
-    unit.
-    """
+    """Return an edge, 0.1 mm to 1 m, as float; a larger one is taken for another unit."""
     if isinstance(edge, (int, float)) and 1 < edge <= 1000:
         raise OmnistereoError(
             f"{what} is {edge:g}. For {edge:g} mm pass {edge / 1000:g}, for {edge:g} cm"

@@ -43,9 +43,7 @@ _NEWTON_STEPS = 8
 
 
 class _UnpackedParams:
-    """Rotations, translations and the rotations' derivatives at x, stacked for indexing by
-    corner.
-    """
+    """Rotations and their derivatives, translations at x, stacked for indexing by corner."""
 
     def __init__(self, initial: CalibrationParams, x: Floats) -> None:
         cameras, rig = len(initial.intrinsics), initial.num_rig_params
@@ -78,9 +76,7 @@ class BundleProblem:
         return np.linalg.norm(self.residuals(params.to_vector()).reshape(-1, 2), axis=-1)
 
     def residuals(self, x: Floats) -> Floats:
-        """Return predicted minus observed pixels, shape (2 M,): u, v of the first corner, then of
-        the second.
-        """
+        """Return predicted minus observed pixels, shape (2 M,): u and v of each corner."""
         state = _UnpackedParams(self.initial, x)
         return (self._project(state, self._points(state)[1])[0] - self.observations.pixels).ravel()
 
@@ -92,9 +88,7 @@ class BundleProblem:
         return rotated, np.einsum("mij,mj->mi", state.R_cam[camera], in_rig) + state.t_cam[camera]
 
     def _project(self, state: _UnpackedParams, points: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-        """Return the pixels (M, 2) of points (M, 3) in the camera frames, and what `_derivatives`
-        takes.
-        """
+        """Return pixels (M, 2) of points (M, 3) in the cameras, and what `_derivatives` uses."""
         u0, v0, c, d = state.intrinsics[self.observations.camera, :NUM_AFFINE].T
         alpha = state.intrinsics[self.observations.camera, NUM_AFFINE:]
         X, Y, Z = points.T
@@ -108,9 +102,7 @@ class BundleProblem:
         return pixels, (c, d, alpha, n, Z, px, py, r)
 
     def _radius(self, alpha: Floats, n: Floats, Z: Floats, center: Floats) -> Floats:
-        """Solve f(r) n + r Z = 0 by Newton's method from the observed radius: the right one of
-        several roots.
-        """
+        """Solve f(r) n + r Z = 0 by Newton's method from the observed radius, near the root."""
         r = np.linalg.norm(self.observations.pixels - center, axis=-1)
         limit = 1.5 * r + 0.1 * self.scale
         for _ in range(_NEWTON_STEPS):
@@ -171,9 +163,7 @@ class BundleProblem:
         py: Floats,
         r: Floats,
     ) -> tuple[Floats, Floats]:
-        """Return the derivatives of pixels by intrinsics (M, 2, 4 + degree) and by point (M, 2,
-        3).
-        """
+        """Return the derivatives of pixels by intrinsics (M, 2, 4 + degree), point (M, 2, 3)."""
         f, slope, powers = self._polynomial(alpha, r)
         steep = slope * n + Z
         r_n, r_Z = -f / steep, -r / steep

@@ -124,9 +124,7 @@ class Checkerboard(Board):
         return None
 
     def advice(self, grays: Sequence[Gray]) -> str:
-        """Return what to do if none of the images shows the board: the size to pass, if one near it
-        fits.
-        """
+        """Return what to do if no image shows the board: the size to pass, if one near it fits."""
         suggestion = suggest_board(grays, self)
         if suggestion is None:
             return (
@@ -163,9 +161,7 @@ def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
 
 
 def _on_thresholds(gray: Gray, board: Checkerboard, offset: float) -> Iterator[Floats | None]:
-    """Yield what is found in small black and white copies, which are searched in a fraction of the
-    time.
-    """
+    """Yield what is found in small black and white copies, in a fraction of the time."""
     scale = min(_SMALL / max(gray.shape), 1.0)
     small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for block in (41, 21, 81, 161):
@@ -178,9 +174,7 @@ def _on_thresholds(gray: Gray, board: Checkerboard, offset: float) -> Iterator[F
 def _classic(
     gray: Gray, board: Checkerboard, scale: float = 1.0, flags: int = _CLASSIC
 ) -> Floats | None:
-    """Return what OpenCV's classic detector finds, in pixels of the image of which `gray` is
-    `scale` times the size.
-    """
+    """Return what the classic detector finds in a copy of `scale` times the size, image pixels."""
     found, corners = cv2.findChessboardCorners(gray, board.corners, flags=flags)
     return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5 if found else None
 
@@ -257,9 +251,7 @@ def _look(gray: NDArray[Any], pixels: Floats) -> NDArray[Any]:
 
 
 def _smoothed(corners: Floats, board: Checkerboard) -> Floats:
-    """Fit polynomials of column and row to the corners, robustly; return their values at all
-    corners, (K, 2) px.
-    """
+    """Return the corners (K, 2) px of polynomials of column and row, fitted robustly."""
     # The highest degree up to 4 that leaves three corners for each of its coefficients, (d + 1)(d +
     # 2) / 2.
     degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
@@ -301,9 +293,7 @@ def _spacing(corners: Floats, board: Checkerboard) -> Floats:
 
 
 def _is_lattice(corners: Floats, board: Checkerboard) -> bool:
-    """Check that all squares have one orientation and none is folded: both triangles of each have
-    the same sign.
-    """
+    """Check that no square is folded: both triangles of each have one sign."""
     grid = corners.reshape(board.corners[1], board.corners[0], 2)
     right, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
     areas = np.stack([_cross2d(right[:-1], down[:, :-1]), _cross2d(right[1:], down[:, 1:])])
@@ -316,9 +306,7 @@ def _cross2d(a: Floats, b: Floats) -> Floats:
 
 
 def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
-    """Return the corners right-handed, the first four around a black square, starting nearest to
-    the top left.
-    """
+    """Return the corners right-handed, a black square first, from nearest to the top left."""
     columns, rows = board.corners
     grid = corners.reshape(rows, columns, 2)
     # The right and the down neighbour of a corner turn clockwise in an image; otherwise each row is

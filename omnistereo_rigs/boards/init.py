@@ -78,9 +78,7 @@ def initial_estimate(
 def estimate_poses(
     camera: OcamCamera, views: Sequence[Floats], points: Floats
 ) -> CalibrationParams:
-    """Return a given camera, which stays as it is, and the pose of each view; arguments as
-    `initial_estimate`.
-    """
+    """Return a given camera, as it is, and the pose of each view; see `initial_estimate`."""
     intrinsics, roll = Intrinsics.of_camera(camera)
     rays = [
         np.where(valid[:, None], rays @ roll.R.T, np.nan)

@@ -1,6 +1,4 @@
-"""The rig from captures that its cameras share: a spanning tree of relative poses, then one joint
-adjustment.
-"""
+"""The rig from captures that cameras share: a spanning tree of poses, then one adjustment."""
 
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import replace
@@ -170,9 +168,7 @@ def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None
 
 
 def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int], list[int]]:
-    """Return the captures that both cameras of a pair (i < j) see; refuse one camera given
-    twice.
-    """
+    """Return the captures that both cameras of a pair (i < j) see; one camera twice is refused."""
     shared = {}
     for i, j in combinations(range(len(corners)), 2):
         views = enumerate(zip(corners[i], corners[j], strict=True))
@@ -196,9 +192,7 @@ def _check_connected(
     single: list[CameraReport],
     names: Sequence[str] | None,
 ) -> None:
-    """Raise an `OmnistereoError` if shared captures do not connect all cameras; it names views that
-    were rejected.
-    """
+    """Raise if captures do not connect all cameras, and name views that were rejected."""
     # Cameras are the nodes of a graph, shared captures its edges: it has to be in one piece.
     adjacent = np.zeros((len(single), len(single)))
     for pair in shared:
@@ -236,9 +230,7 @@ def _check_connected(
 def _spanning_tree(
     shared: dict[tuple[int, int], list[int]], single: list[CameraReport], board: Board
 ) -> list[Pose]:
-    """Chain relative poses from camera 1 along the pairs that share most captures; return
-    T_cam_rig.
-    """
+    """Chain poses from camera 1 along the pairs that share most captures; return T_cam_rig."""
     # The more captures a pair shares, the shorter its edge; the shortest tree takes the best pairs.
     lengths = np.zeros((len(single), len(single)))
     for pair, captures in shared.items():
@@ -258,9 +250,7 @@ def _spanning_tree(
 def _relative_pose(
     i: int, j: int, captures: list[int], single: list[CameraReport], board: Board
 ) -> Pose:
-    """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the
-    board.
-    """
+    """Return T_j_i, on which most captures agree: each proposes one for each board symmetry."""
     if len(captures) == 1 < len(board.symmetries):
         raise OmnistereoError(
             f"cameras {i + 1} and {j + 1} share one capture, and the board looks the same from "
@@ -307,9 +297,7 @@ def _relative_pose(
 def _direction_errors(
     T_j_i: Pose, i: int, j: int, k: int, single: list[CameraReport], board: Board
 ) -> list[float]:
-    """Return, for each symmetry, the angle between the corners of camera j and those of camera i,
-    radians.
-    """
+    """Return, for each symmetry, the angle between the corners of both cameras, radians."""
     # The corners as camera j sees them, and where the pose of camera i puts them.
     seen = _unit(single[j].T_cam_board[k] @ board.points)
     expected = _unit(T_j_i @ (single[i].T_cam_board[k] @ board.points))
@@ -364,9 +352,7 @@ def _bad_captures(
     captures: list[int],
     single: list[CameraReport],
 ) -> dict[int, str]:
-    """Return the captures that fit each camera, but the rig much worse than others of the same
-    cameras do.
-    """
+    """Return captures that fit each camera, but the rig much worse than others of the same ones."""
     ratios: dict[tuple[int, ...], dict[int, float]] = {}
     reasons = {}
     for k, capture in enumerate(captures):

@@ -100,9 +100,7 @@ class AprilGrid(Board):
         return corners
 
     def _first_corner(self, quads: dict[int, Floats]) -> int | None:
-        """Return which of the four corners that OpenCV returns is the top left one: by the next tag
-        to the right.
-        """
+        """Return which of OpenCV's four corners is the top left: by the next tag to the right."""
         votes = np.zeros(4)
         for number, quad in quads.items():
             neighbor = quads.get(number + 1)

@@ -61,9 +61,7 @@ class Intrinsics:
         return Intrinsics(np.concatenate([self.vector, more]), self.image_size)
 
     def rays(self, pixels: Floats) -> Floats:
-        """Return the unit rays of pixels (..., 2) by the direct polynomial, shape (..., 3), camera
-        frame.
-        """
+        """Return the rays (..., 3), camera frame, of pixels (..., 2), by the direct polynomial."""
         u0, v0, c, d = self.vector[:NUM_AFFINE]
         # Undo A, then the direct polynomial: the ray of (x, y) is (x, y, -f(r)).
         xy = (pixels - [u0, v0]) @ np.linalg.inv([[1.0, d], [d, c]]).T
@@ -124,9 +122,7 @@ class CalibrationParams:
         return replace(self, T_rig_board=tuple(self.T_rig_board[k] for k in captures))
 
     def to_vector(self) -> Floats:
-        """Return all unknowns: intrinsics of each camera, poses of cameras 2 …, poses of the
-        captures.
-        """
+        """Return all unknowns: intrinsics of all cameras, poses of cameras 2 …, of captures."""
         poses = [*self.T_cam_rig[1:], *self.T_rig_board]
         return np.concatenate(
             [*(i.vector for i in self.intrinsics), *(pose.as_vector() for pose in poses)]
@@ -157,9 +153,7 @@ class CalibrationParams:
 
     @property
     def num_rig_params(self) -> int:
-        """Number of unknowns that describe the rig: the first ones, all but the poses of the
-        captures.
-        """
+        """Number of unknowns of the rig: the first ones, all but the poses of the captures."""
         return self.num_intrinsics + 6 * (len(self.T_cam_rig) - 1)
 
     @property

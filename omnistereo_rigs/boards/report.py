@@ -103,9 +103,7 @@ class CameraReport(_Report):
         return stacked[np.isfinite(stacked).all(axis=-1)]
 
     def inlier_angles_deg(self) -> Floats:
-        """Return the angle of each inlier from the optical axis, shape (M,), degrees; in the order
-        of the residuals.
-        """
+        """Return the angle of each inlier from the axis, (M,), degrees; in the residuals' order."""
         used = self.residuals_used()
         inlier = np.isfinite(np.concatenate(list(used.values()))).all(axis=-1)
         return np.degrees(np.concatenate([self.angles[view] for view in used])[inlier])
@@ -126,9 +124,7 @@ class CameraReport(_Report):
         return float(self.inlier_angles_deg().max())
 
     def errors_by_angle(self) -> list[tuple[int, int, ReprojectionErrors]]:
-        """Return the errors in rings of 10° from the axis: (lower end in degrees, corners,
-        errors).
-        """
+        """Return the errors in rings of 10° from the axis: (lower end, corners, errors)."""
         residuals, ring = self.inlier_residuals(), self.inlier_angles_deg() // _RING_DEG
         return [
             (
@@ -150,9 +146,7 @@ class CameraReport(_Report):
         return camera, replace(self, warnings=(*self.warnings, *_camera_warnings(self, camera)))
 
     def text(self, names: Sequence[str] | None = None) -> str:
-        """Return the report as text; `names` are what the views are called instead of their
-        indices.
-        """
+        """Return the report as text; `names` are what the views are called, not their indices."""
         e = self.errors
         lines = [
             (
@@ -257,9 +251,7 @@ class RigReport(_Report):
         return np.concatenate([camera.inlier_residuals() for camera in self.joint])
 
     def pose_uncertainty(self) -> list[tuple[float, float]]:
-        """Return the standard deviation of each camera's rotation and position against camera 1:
-        (degrees, metres).
-        """
+        """Return the deviations of each camera's pose against camera 1: (degrees, metres)."""
         poses = np.array([pose.as_vector() for pose in self.params.T_cam_rig[1:]])
         blocks = self.covariance[-poses.size :, -poses.size :].reshape(len(poses), 6, len(poses), 6)
         found = [(0.0, 0.0)]
@@ -273,9 +265,7 @@ class RigReport(_Report):
         return found
 
     def text(self, names: Sequence[str] | None = None) -> str:
-        """Return the report as text; `names` are what the captures are called instead of their
-        indices.
-        """
+        """Return the report as text; `names` are what captures are called, not their indices."""
         e = self.errors
         lines = [
             f"rig: {len(self.joint)} cameras, {len(self.captures_used)} captures, {e.rms_px:.3f} px"

@@ -1,6 +1,4 @@
-"""One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected
-views, report.
-"""
+"""One camera from views of a board: initial estimate, robust fit, degree, rejected views."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -148,9 +146,7 @@ def calibrate_corners(
 
 
 def _corners_in_view(corners: Floats, camera: OcamCamera) -> Floats | None:
-    """Return the corners that a given camera sees, NaN for the others, or None if too few are
-    left.
-    """
+    """Return the corners that a given camera sees, NaN for the others; None: too few are left."""
     seen = np.where(camera.unproject(corners)[1][:, None], corners, np.nan)
     return seen if np.isfinite(seen).all(axis=1).sum() >= _FEWEST_CORNERS else None
 
@@ -204,9 +200,7 @@ def _check_corners(name: str, corners: NDArray[Any] | None, board: Board) -> Flo
 
 
 def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
-    """Raise an `OmnistereoError` for a degree or a field of view that cannot be, before any image
-    is searched.
-    """
+    """Raise for a degree or a field of view that cannot be, before any image is searched."""
     if degree is not None:
         check_number(degree, "degree", DEGREES[0], _MOST, whole=True)
     if max_fov_deg is not None:
@@ -214,9 +208,7 @@ def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
 
 
 def _second_board(corners: Sequence[Floats | None]) -> dict[int, str]:
-    """Return three or more views with the board at one place, though it was elsewhere between them,
-    and the reason.
-    """
+    """Return three or more views with the board at one place while it moved, and the reason."""
     found = {k: view for k, view in enumerate(corners) if view is not None}
     # For each view, all views in which more than half of the corners are at the same pixels. The
     # largest such group is the candidate.
@@ -353,9 +345,7 @@ def _cv_errors(
 def _blurred_views(
     images: Sequence[ArrayLike | None], corners: Sequence[Floats | None], board: Checkerboard
 ) -> dict[int, str]:
-    """Return the views with wider edges than usual: motion blur shifts corners consistently, so
-    that they may fit.
-    """
+    """Return views with wider edges than usual: motion blur shifts corners, yet they may fit."""
     found = (
         (a, b) for a, b in zip(images, corners, strict=True) if a is not None and b is not None
     )

@@ -1,6 +1,4 @@
-"""From initial values to a solution: robust fit, inliers, covariance, and the report of each
-camera.
-"""
+"""From initial values to a solution: robust fit, inliers, covariance, reports of the cameras."""
 
 from __future__ import annotations
 
@@ -82,9 +80,7 @@ class Solution:
         cv_error_px: Mapping[int, float],
         name: str = "camera",
     ) -> CameraReport:
-        """Return the report of camera i (from 0); `captures` are the caller's numbers of the
-        captures used.
-        """
+        """Return the report of camera i (from 0); `captures` are the caller's numbers of them."""
         mine = self.observations.camera == i
         observed = self.observations.select(mine)
         residuals = self.residuals[mine]

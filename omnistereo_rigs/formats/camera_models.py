@@ -249,7 +249,5 @@ def _distorted(x: Floats, y: Floats, radial: Any, p1: Any, p2: Any) -> tuple[Flo
 
 
 def _unified_limit(alpha: float) -> float:
-    """Return w: rays with z > -w |ray| project one to one through the sphere and the shifted
-    pinhole.
-    """
+    """Return w: rays with z > -w |ray| project one to one by sphere and shifted pinhole."""
     return alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha

@@ -55,9 +55,7 @@ Camera = dict[str, Any]  # camera_model_name, camera_params, width, height
 
 
 def config_cameras(data: Section, path: Path) -> list[Section]:
-    """Return the cameras of a rig_config.json; the sizes of their lenses are in the cameras.txt
-    beside it.
-    """
+    """Return the cameras of a rig_config.json, with the sizes from the cameras.txt beside it."""
     cams = [*data.sections("cameras").values()]
     file = path.with_name("cameras.txt")
     if not file.exists():

@@ -1,6 +1,4 @@
-"""The conversion of other camera models to OCam cameras, by fitting the polynomials to sampled
-rays.
-"""
+"""Other camera models as OCam cameras: the polynomials are fitted to sampled rays."""
 
 import logging
 import warnings
@@ -146,9 +144,7 @@ def fit_ocam(
 def _pixels_beyond(
     project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None
 ) -> tuple[float, float]:
-    """Return the angle from the axis, degrees, at which a model stops being one to one, and the
-    share of pixels beyond.
-    """
+    """Return the angle, degrees, up to which a model is one to one, the share of pixels beyond."""
     theta, uv, _ = one_to_one(project)
     width, height = image_size
     within = np.zeros((height, width), np.uint8)
@@ -168,9 +164,7 @@ def _fit_inverse(radius: Floats, t: Floats) -> Floats:
 
 
 def fit_direct_polynomial(radius: Floats, t: Floats) -> Floats:
-    """Fit f(r) with f(r) cos t = r sin t and a1 = 0 to 0.01 px; radii (N,) in px, coefficients low
-    to high.
-    """
+    """Fit f(r) cos t = r sin t, a1 = 0, to 0.01 px; radii (N,) px, coefficients low to high."""
     exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
     to_px = np.cos(t) * np.gradient(radius, t) / radius  # of the difference of both sides
     powers = (radius / radius[-1])[:, None] ** exponents * (np.cos(t) * to_px)[:, None]
@@ -180,9 +174,7 @@ def fit_direct_polynomial(radius: Floats, t: Floats) -> Floats:
 
 
 def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
-    """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the
-    tolerance.
-    """
+    """Return least-squares coefficients of the fewest columns, from `terms`, to the tolerance."""
     fit: Floats = np.zeros(0)
     for count in range(terms, powers.shape[1] + 1):
         fit = np.asarray(np.linalg.lstsq(powers[:, :count], values, rcond=None)[0], np.float64)

@@ -1,6 +1,4 @@
-"""What a rig file assumes without saying, checked for every format: frame, principal point,
-positions.
-"""
+"""What a rig file assumes without saying, checked: frame, principal point, positions."""
 
 import logging
 import warnings
@@ -128,9 +126,7 @@ def level(rig: Rig, source: Path) -> Rig:
 
 
 def _down(rig: Rig) -> tuple[Floats, bool]:
-    """Return the mean y axis of the cameras but those mounted rolled, in the rig frame, and whether
-    they agree.
-    """
+    """Return the mean y axis of the cameras not mounted rolled, rig frame; whether they agree."""
     y = np.stack([pose.R[:, 1] for pose in rig.T_rig_cam])
     kept = np.ones(len(y), bool)
     for _ in range(2):

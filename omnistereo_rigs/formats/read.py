@@ -65,9 +65,7 @@ class RigReading(NamedTuple):
         return not self.lenses
 
     def limited(self) -> list[int]:
-        """Return the cameras, from 1, that are read only as far as their program can have measured
-        them.
-        """
+        """Return the cameras, from 1, that end where their program can have measured them."""
         pairs = enumerate(zip(self.lenses, self.rig.cameras, strict=False), 1)
         return [i for i, (lens, camera) in pairs if camera.max_fov_deg == lens.measured_deg]
 
@@ -108,9 +106,7 @@ def read_rig(
     max_fov_deg: float | None = None,
     keep_frame: bool = False,
 ) -> RigReading:
-    """Read a rig as `read_any_rig` does, with what was assumed, such as
-    `RigReading.clock_offsets_s`.
-    """
+    """Read a rig as `read_any_rig` does, and what was assumed, as `clock_offsets_s`."""
     path = as_path(path)
     check_options(unit, max_fov_deg)
     if (own := read_own(path, unit, max_fov_deg)) is not None:
@@ -189,9 +185,7 @@ def _finished(found: RigFile, path: Path, unit: str | None, keep_frame: bool) ->
 
 
 def _compare_sources(rig: Rig, path: Path) -> None:
-    """Warn if poses.txt and config.yaml stand in one folder and state different poses, whatever
-    unit poses.txt has.
-    """
+    """Warn if poses.txt and config.yaml of one folder state different poses, in any unit."""
     folder = path if path.is_dir() else path.parent
     poses_file, config = folder / "poses.txt", folder / "config.yaml"
     if path not in (folder, config) or not (poses_file.exists() and config.exists()):
@@ -331,9 +325,7 @@ def _content(path: Path) -> Any:
 
 
 def _layers(data: Any) -> Iterator[dict[str, Any]]:
-    """Yield the content of a file as a mapping, and what is in it as long as it only wraps: a list,
-    a single key.
-    """
+    """Yield the content as a mapping, and what is in it while it only wraps a list or a key."""
     if isinstance(data, list):
         rigs = [each for each in data if isinstance(each, dict) and "cameras" in each]
         if len(rigs) > 1:

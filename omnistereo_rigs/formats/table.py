@@ -64,9 +64,7 @@ class Value(NamedTuple):
 
 @dataclass(frozen=True)
 class Dialect:
-    """A row: how the files of one program are read. Places in a camera are keys joined by dots,
-    alternatives by "|".
-    """
+    """How files of a program are read. Places are keys joined by dots, alternatives by "|"."""
 
     name: str
     what: str
@@ -98,9 +96,7 @@ class Found(NamedTuple):
 
 
 def in_order(names: Iterable[Any]) -> list[Any]:
-    """Return names of cameras in the order of their numbers, where all have one behind the same
-    word: cam2 before cam10; else as they are.
-    """
+    """Return names of cameras by the number behind a common word, cam2 before cam10, or as is."""
     found = [*names]
     ends = [re.fullmatch(r"(\D*)([0-9]{1,9})", str(name)) for name in found]
     if len({end and end[1] for end in ends}) > 1 or None in ends:
@@ -161,9 +157,7 @@ def _word(row: Dialect, cam: Section) -> str:
 
 
 def numbers(cam: Section, spec: Mapping[str, Names]) -> dict[str, float]:
-    """Return the numbers of a lens by our names, from their places in a camera; those marked "?"
-    may be missing.
-    """
+    """Return the numbers of a lens by our names, from their places; marked "?" may be missing."""
     found: dict[str, float] = {}
     for mark, names in spec.items():
         place = mark.rstrip("?")
@@ -204,9 +198,7 @@ def _named(cam: Section, place: str, names: Sequence[str]) -> dict[str, float]:
 
 
 def _poses(row: Dialect, cams: Sequence[Section], path: Path) -> list[Pose]:
-    """Return camera → rig by the first way that all cameras have; a UserWarning compares the
-    others.
-    """
+    """Return camera → rig by the first way that all cameras have; the others are compared."""
     found: dict[str, list[Pose]] = {}
     for way in row.poses:
         has = [_stated(cam, way) for cam in cams]
@@ -280,9 +272,7 @@ def _rotation(cam: Section, key: str, value: Any, is_quaternion: bool) -> Floats
 
 
 def _chained(cams: Sequence[Section], poses: Sequence[Pose], parent: str) -> list[Pose]:
-    """Return camera → root of poses camera → parent: the previous camera, or the one with the
-    number that a key has.
-    """
+    """Return camera → root of poses camera → parent: the one before, or the key's number."""
     parents = [n - 1 for n in range(len(cams))]
     if parent != "previous":
         own = [cam.number("socket") for cam in cams]

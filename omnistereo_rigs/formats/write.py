@@ -1,6 +1,4 @@
-"""Rigs for other programs: Kalibr, OpenCV, COLMAP and nerfstudio, all with the Kannala-Brandt model
-of four coefficients; and a rig for images of another size.
-"""
+"""Rigs for other programs, as Kannala-Brandt lenses, and rigs for images of another size."""
 
 import json
 import warnings
@@ -200,18 +198,14 @@ def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
 
 
 def _angles(camera: OcamCamera) -> NDArray[np.float64]:
-    """Return the angle from the axis of each pixel in degrees, (height, width); NaN where it sees
-    nothing.
-    """
+    """Return the angle of each pixel from the axis, degrees, (height, width); NaN: none."""
     width, height = camera.image_size
     rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
     return np.where(valid, np.degrees(np.arccos(np.clip(rays[..., 2], -1, 1))), np.nan)
 
 
 def beyond_sentences(rig: Rig, with_masks: bool = True) -> list[str]:
-    """Return how much of the images OpenCV, COLMAP and nerfstudio cannot use, and, where COLMAP's
-    masks are written, what to do.
-    """
+    """Return how much of the images other programs cannot use, and what COLMAP's masks do."""
     angles = np.concatenate([_angles(camera).ravel() for camera in rig.cameras])
     share = float((angles > 90).sum() / np.isfinite(angles).sum())
     if share == 0:

@@ -39,9 +39,7 @@ def heard_late(videos: Sequence[Video]) -> list[int] | None:
 
 
 def _sound(video: Video) -> tuple[float, NDArray[np.float32]] | None:
-    """Return when the sound begins, s after the first picture, and the changes of its first minute;
-    None where there is none.
-    """
+    """Return the begin of the sound, s after the first picture, and its changes; or None."""
     import av
 
     with av.open(str(video.path)) as container:

@@ -37,6 +37,7 @@ PROGRAMS = {
     "depthai": ("depthai", "depthai==3.12.0 numpy==2.4.6", "3.11"),
     "kitti360": ("kitti360", "kitti360scripts==1.0.0 numpy==2.4.6 PyYAML==6.0.3 --no-deps", "3.11"),
     "formulas": ("formulas", "numpy==2.4.6", "3.11"),
+    "plyfile": ("plyfile", "plyfile==1.1.5 numpy==2.4.6", "3.11"),
     "laspy": ("laspy", "laspy==2.7.0 lazrs==0.8.2 numpy==2.4.6", "3.11"),
     "open3d": ("open3d", "open3d==0.20.0", "3.11"),
     "meshlab": ("meshlab", "pymeshlab==2025.7.post1", "3.11"),

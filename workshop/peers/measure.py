@@ -443,6 +443,16 @@ def of_depthai(folder, truth):
     pose("depthai 3.12.0", "extrinsics of a camera", "camera → toCameraSocket, centimetres")
 
 
+def of_plyfile(folder, truth):
+    import plyfile
+
+    found = plyfile.PlyData.read(str(folder / "data/points.ply"))["vertex"]
+    off = np.abs(np.stack([found[axis] for axis in "xyz"], -1) - truth["points"]).max()
+    file("points.ply", "plyfile 1.1.5", "metres", off, 1e-6)
+    off = np.abs(found["quality"] - truth["quality"]).max()
+    file("points.ply", "plyfile 1.1.5", "quality", off, 1e-6)
+
+
 def of_laspy(folder, truth):
     import laspy
 
