@@ -1,5 +1,4 @@
-"""Calibration: from images of a checkerboard to a rig with known uncertainty (paper, Section
-III-A).
+"""Calibration: from images of boards to a rig with known uncertainty (paper, Section III-A).
 
 In the order of a calibration: `captures` (files), `board`, `detect` (corners), `init` (initial
 estimate), `params` and `bundle` (the least-squares problem), `solution`, `single_camera` and

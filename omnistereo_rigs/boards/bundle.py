@@ -275,8 +275,7 @@ def estimate_covariance(
     sigma: float,
     inliers: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the covariance of intrinsics and rig for corner noise `sigma` (px), (num_rig_params,
-    num_rig_params).
+    """Return the covariance of the rig's unknowns for corner noise `sigma` (px), square.
 
     The inverse of JᵀJ / σ², without the rows and columns of the board poses; 0 for given
     intrinsics. JᵀJ itself is never formed: it squares the condition number, and the best known

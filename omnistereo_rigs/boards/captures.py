@@ -163,17 +163,13 @@ def _of_videos(folder: Path) -> Captures:
     common = sorted(set.intersection(*(set(pairs) for pairs in matched.pairs)))
     if not common:
         names = ", ".join(str(video.path) for video in videos)
-        raise OmnistereoError(
-            f"{names} have no moment in common. Check that all were filmed at once"
-        )
+        raise OmnistereoError(f"{names} have no moment in common. Check that all ran at once")
     tried = candidates(common, len(videos) * _CANDIDATES)
     read = [
         video.read([pairs[number] for number in tried])
         for video, pairs in zip(videos, matched.pairs, strict=True)
     ]
-    chosen = choose(
-        [look(images) for images in zip(*read, strict=True)], len(videos) * _MOST, _STILL
-    )
+    chosen = choose([look(row) for row in zip(*read, strict=True)], len(videos) * _MOST, _STILL)
     numbers = [tried[k] for k in chosen]
     return Captures(
         tuple(v.path.stem if v.path.parent == folder else v.path.parent.name for v in videos),
@@ -198,8 +194,7 @@ def _natural(name: str) -> list[tuple[int, str]]:
 def save_corners(
     path: str | Path, views: dict[str, Floats | None], board: Board, image_size: tuple[int, int]
 ) -> None:
-    """Write detections as YAML that a person can edit: a line for each corner, null for views
-    without a board.
+    """Write detections as YAML to edit: a line for each corner, null for views without a board.
 
     Args:
         views: Name of each image → corners (K, 2) px, NaN where one is missing, or None.
@@ -277,9 +272,8 @@ def _parse_board(found: Section) -> Board:
         )
     if "tags" in found.values:
         start = _first_tag(found, "start")
-        return AprilGrid(
-            found.require("tags"), found.number("size"), found.number("spacing"), start
-        )
+        size, spacing = found.number("size"), found.number("spacing")
+        return AprilGrid(found.require("tags"), size, spacing, start)
     if "squares" in found.values:
         dictionary = str(found.get("dictionary", default="DICT_4X4_50"))
         square, marker = found.number("square"), found.number("marker")
@@ -296,9 +290,8 @@ def load_board(path: str | Path) -> Board:
 def _corners_of(value: Any, name: str, board: Board, image_size: tuple[int, int]) -> Floats | None:
     if value is None:
         return None
-    corners = parse_floats(value, f"view {name}", 2 * len(board.points), may_be_nan=True).reshape(
-        -1, 2
-    )
+    count = 2 * len(board.points)
+    corners = parse_floats(value, f"view {name}", count, may_be_nan=True).reshape(-1, 2)
     outside = (corners < -1) | (corners > image_size)
     if outside.any():
         corner = corners[outside.any(1)][0].tolist()

@@ -68,9 +68,7 @@ class Checkerboard(Board):
                 " columns and rows"
             )
         object.__setattr__(self, "corners", (int(counts[0]), int(counts[1])))
-        object.__setattr__(
-            self, "square", check_edge(self.square, "the square (its edge in metres)")
-        )
+        object.__setattr__(self, "square", check_edge(self.square, "the square (its edge in m)"))
 
     def __str__(self) -> str:
         columns, rows = self.corners
@@ -80,10 +78,8 @@ class Checkerboard(Board):
     def points(self) -> Floats:
         """Corners in the board frame, shape (K, 3), metres, row by row, columns fastest."""
         x, y = np.meshgrid(np.arange(self.corners[0]), np.arange(self.corners[1]))
-        return (
-            np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]).astype(np.float64)
-            * self.square
-        )
+        counted = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        return counted.astype(np.float64) * self.square
 
     @lazy_property
     def symmetries(self) -> tuple[NDArray[np.int64], ...]:
@@ -94,9 +90,7 @@ class Checkerboard(Board):
         """
         columns, rows = self.corners
         order = np.arange(columns * rows).reshape(rows, columns)
-        rotated = [
-            np.rot90(order, quarter) for quarter in (range(4) if columns == rows else (0, 2))
-        ]
+        rotated = [np.rot90(order, k) for k in (range(4) if columns == rows else (0, 2))]
         # Keep only rotations that map black squares to black squares.
         parity = [sum(divmod(int(grid[:2, :2].min()), columns)) % 2 for grid in rotated]
         return tuple(grid.ravel() for grid, odd in zip(rotated, parity, strict=True) if odd == 0)
@@ -109,8 +103,7 @@ class Checkerboard(Board):
         return Pose(np.column_stack([x, y, np.cross(x, y)]), points[0])
 
     def find_corners(self, gray: Gray) -> Floats | None:
-        """Find all inner corners, or None if not every one is visible; NaN for those that could not
-        be refined.
+        """Find all inner corners, NaN where not refined; None if not every one is visible.
 
         Right-handed: the board is seen from its front, a mirrored image is not recognised. Of the
         symmetries of the board the one whose first corner is nearest to the top left.
@@ -207,8 +200,7 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
 
 
 def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
-    """Return how many pixels the edges between squares take from black to white, where they are
-    most blurred.
+    """Return how many pixels an edge takes from black to white, where most blurred.
 
     Args:
         image: uint8, (H, W), or what `as_gray` reads.

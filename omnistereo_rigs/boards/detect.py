@@ -30,8 +30,7 @@ def detect_views(
     progress: Progress = silent,
     names: Sequence[str] | None = None,
 ) -> list[Floats | None]:
-    """Find the board in each image of one camera, on all cores; None where there is no image or no
-    board.
+    """Find the board in each image of a camera, on all cores; None without image or board.
 
     Messages call views by `names`, or else by index.
 

@@ -7,6 +7,7 @@ adjustment.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -47,20 +48,15 @@ def initial_estimate(
         [solve_planar_pose(_rays(view, center, focal), points) for view in views]
         for focal in focals
     ]
-    errors = [
-        focal * np.median([error for _, error in row])
-        for focal, row in zip(focals, planes, strict=True)
-    ]
+    errors = focals * np.array([np.median([error for _, error in row]) for row in planes])
     observations = collect_observations([views], points)
     best, least = None, np.inf
     for i in np.argsort(errors)[:_MAX_CANDIDATES]:
         intrinsics = _init_equidistant(image_size, focals[i], farthest)
-        params = CalibrationParams(
-            (intrinsics,), (Pose.identity(),), tuple(pose for pose, _ in planes[i])
-        )
-        params, distance = bundle_adjust(
-            params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4
-        )
+        poses = tuple(pose for pose, _ in planes[i])
+        params = CalibrationParams((intrinsics,), (Pose.identity(),), poses)
+        options: dict[str, Any] = {"loss": "soft_l1", "steps": _STEPS, "tolerance": 1e-4}
+        params, distance = bundle_adjust(params, observations, **options)
         # In pixels, cut off at 10 so that wrong corners do not decide.
         error = distance.clip(max=10.0).mean()
         if error < least:
@@ -98,9 +94,7 @@ def _init_equidistant(image_size: tuple[int, int], focal: float, farthest: float
     weight = np.sin(r / focal)
     basis = scale * (r[:, None] / scale) ** [0, 2, 3, 4]
     alpha = np.linalg.lstsq(basis * weight[:, None], -r / np.tan(r / focal) * weight, rcond=None)[0]
-    return Intrinsics(
-        np.concatenate([(np.array(image_size) - 1) / 2, [1.0, 0.0], alpha]), image_size
-    )
+    return Intrinsics(np.array([*(np.array(image_size) - 1) / 2, 1.0, 0.0, *alpha]), image_size)
 
 
 def _rays(pixels: Floats, center: Floats, focal: float) -> Floats:

@@ -49,8 +49,7 @@ def calibrate_rig(
     names: Sequence[str] | None = None,
     cameras: Sequence[OcamCamera] | None = None,
 ) -> tuple[Rig, RigReport]:
-    """Calibrate all cameras of a rig and their poses: the paper's joint minimisation (Section
-    III-A).
+    """Calibrate all cameras and their poses: the paper's joint minimisation (Section III-A).
 
     A capture is all cameras at one instant, a view one image of it; the board may move between
     captures only.
@@ -131,16 +130,13 @@ def calibrate_rig(
     _check_connected(shared, detected, single, names)
     T_cam_rig = _spanning_tree(shared, single, board)
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
-    captures = [
-        k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)
-    ]
+    captures = [k for k in range(len(corners[0])) if any(row[k] is not None for row in corners)]
     while True:
         # The joint adjustment, as often as it leaves a capture that fits the rig much worse than
         # the others: such a one is rejected, and all others are adjusted anew.
         params = _initial_params(corners, captures, T_cam_rig, single, cameras is not None)
-        observations = collect_observations(
-            [[row[k] for k in captures] for row in corners], board.points
-        )
+        used = [[row[k] for k in captures] for row in corners]
+        observations = collect_observations(used, board.points)
         params, distance = bundle_adjust(params, observations, loss="soft_l1", tolerance=1e-6)
         bad = _bad_captures(distance, observations, captures, single)
         if not bad:
@@ -148,9 +144,8 @@ def calibrate_rig(
         rejected |= bad
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
-    return _build_rig(
-        solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg, cameras
-    )
+    kept, reports = tuple(captures), tuple(single)
+    return _build_rig(solution, kept, reports, rejected, shared, max_fov_deg, cameras)
 
 
 def _renamed(progress: Progress, name: str) -> Progress:
@@ -214,9 +209,7 @@ def _check_connected(
         " names match between cameras"
     )
     if lost:
-        some = "; ".join(
-            f"camera {i + 1}, {name_of(k, names)}: {why}" for i, k, why in lost[:_SHOWN]
-        )
+        some = "; ".join(f"camera {i + 1}, {name_of(k, names)}: {w}" for i, k, w in lost[:_SHOWN])
         remedy = (
             f"{len(lost)} views that would connect them were rejected, such as {some}. Take them"
             " again"
@@ -241,9 +234,8 @@ def _spanning_tree(
     for j in order[1:]:
         i = int(parents[j])
         # From the parent i to its child j: T_j_rig = T_j_i T_i_rig.
-        T_cam_rig[j] = (
-            _relative_pose(i, int(j), shared[min(i, j), max(i, j)], single, board) @ T_cam_rig[i]
-        )
+        T_j_i = _relative_pose(i, int(j), shared[min(i, j), max(i, j)], single, board)
+        T_cam_rig[j] = T_j_i @ T_cam_rig[i]
     return T_cam_rig
 
 
@@ -331,9 +323,8 @@ def _resolve_board_ambiguity(
             # The symmetry in which the corners of both cameras have about the same directions is
             # the right one; its inverse, argsort, puts those of camera j into the order of the
             # first camera.
-            errors = _direction_errors(
-                T_cam_rig[j] @ T_cam_rig[first].inverse(), first, j, k, single, board
-            )
+            T_j_first = T_cam_rig[j] @ T_cam_rig[first].inverse()
+            errors = _direction_errors(T_j_first, first, j, k, single, board)
             corners[j][k] = views[j][np.argsort(board.symmetries[int(np.argmin(errors))])]
             if min(errors) > _AGREE:
                 rejected[k] = (
@@ -360,9 +351,8 @@ def _bad_captures(
         if len(cameras) > 1:
             # Its error in the rig, against the error of the same views in each camera by itself.
             joint = float(np.median(distance[observations.capture == k]))
-            usual = float(
-                np.median(np.concatenate([single[i].distances(capture) for i in cameras]))
-            )
+            alone = [single[i].distances(capture) for i in cameras]
+            usual = float(np.median(np.concatenate(alone)))
             ratios.setdefault(cameras, {})[capture] = joint / usual
             reasons[capture] = (
                 f"reprojection error {joint:.2f} px, {usual:.2f} px in each camera by itself: the"

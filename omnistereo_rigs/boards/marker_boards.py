@@ -24,8 +24,7 @@ _LEAST_WINDOW, _WINDOW = 2, 5  # px, half sizes
 
 @dataclass(frozen=True)
 class AprilGrid(Board):
-    """A grid of AprilTags (36h11), as Kalibr prints it: numbered from the bottom left, black
-    squares in the gaps.
+    """A grid of AprilTags (36h11), as Kalibr prints it, numbered from the bottom left.
 
     Board frame, seen from the front: origin at the top-left corner of the top-left tag, x right, y
     down, z into the board. The corners of a tag are in the order top left, top right, bottom right,

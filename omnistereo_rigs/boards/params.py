@@ -71,8 +71,7 @@ class Intrinsics:
 
     @classmethod
     def of_camera(cls, camera: OcamCamera) -> tuple[Intrinsics, Pose]:
-        """Return a camera as the optimiser sees it, and the roll from the camera frame to that of
-        the optimiser.
+        """Return a camera for the optimiser, and the roll from the camera frame to its own.
 
         The polynomial is fitted to the inverse polynomial, which is what projects.
         """
@@ -81,16 +80,14 @@ class Intrinsics:
         # By the polar decomposition A = symmetric × rotation, and the rotation goes into the pose.
         A = U @ np.diag(singular) @ U.T
         t = np.linspace(-np.pi / 2, np.radians(camera.max_fov_deg / 2) - np.pi / 2, 257)[1:]
-        poly = fit_direct_polynomial(
-            A[0, 0] * np.polynomial.polynomial.polyval(t, camera.inv_poly), t
-        )
+        radius = A[0, 0] * np.polynomial.polynomial.polyval(t, camera.inv_poly)
+        poly = fit_direct_polynomial(radius, t)
         scale, powers = max(camera.image_size) / 2, powers_of(len(poly) - 1)
         alpha = poly[powers] * scale ** (powers - 1.0)
         A, roll = A / A[0, 0], np.eye(3)
         roll[:2, :2] = U @ Vt
-        return cls(np.array([*camera.center, A[1, 1], A[0, 1], *alpha]), camera.image_size), Pose(
-            roll, np.zeros(3)
-        )
+        vector = np.array([*camera.center, A[1, 1], A[0, 1], *alpha])
+        return cls(vector, camera.image_size), Pose(roll, np.zeros(3))
 
     def camera(self, max_fov_deg: float) -> OcamCamera:
         """Return the camera, its inverse polynomial fitted to better than 0.01 px.
@@ -113,9 +110,7 @@ class CalibrationParams:
 
     def with_degree(self, degree: int) -> CalibrationParams:
         """Return the same unknowns with polynomials of at least this degree."""
-        return replace(
-            self, intrinsics=tuple(intrinsics.with_degree(degree) for intrinsics in self.intrinsics)
-        )
+        return replace(self, intrinsics=tuple(one.with_degree(degree) for one in self.intrinsics))
 
     def with_captures(self, captures: Sequence[int]) -> CalibrationParams:
         """Return the unknowns of some captures only."""
@@ -124,22 +119,19 @@ class CalibrationParams:
     def to_vector(self) -> Floats:
         """Return all unknowns: intrinsics of all cameras, poses of cameras 2 …, of captures."""
         poses = [*self.T_cam_rig[1:], *self.T_rig_board]
-        return np.concatenate(
-            [*(i.vector for i in self.intrinsics), *(pose.as_vector() for pose in poses)]
-        )
+        lenses = [one.vector for one in self.intrinsics]
+        return np.concatenate([*lenses, *(pose.as_vector() for pose in poses)])
 
     def from_vector(self, x: Floats) -> CalibrationParams:
         """Return the inverse of `to_vector`: cameras and captures as here, values from x."""
         parts = np.split(x[: self.num_intrinsics], len(self.intrinsics))
-        intrinsics = [
-            Intrinsics(part, i.image_size) for part, i in zip(parts, self.intrinsics, strict=True)
-        ]
+        sizes = [one.image_size for one in self.intrinsics]
+        intrinsics = tuple(map(Intrinsics, parts, sizes))
         poses = [Pose.from_vector(theta) for theta in x[self.num_intrinsics :].reshape(-1, 6)]
         others = len(self.T_cam_rig) - 1
         T_cam_rig = (Pose.identity(), *poses[:others])
-        return CalibrationParams(
-            tuple(intrinsics), T_cam_rig, tuple(poses[others:]), self.fixed_intrinsics
-        )
+        boards = tuple(poses[others:])
+        return CalibrationParams(intrinsics, T_cam_rig, boards, self.fixed_intrinsics)
 
     @property
     def num_intrinsics(self) -> int:
@@ -179,9 +171,7 @@ class Observations:
 
     def select(self, mask: NDArray[np.bool_]) -> Observations:
         """Return the corners where the mask, shape (M,), is True."""
-        camera, capture, corner = (
-            column[mask] for column in (self.camera, self.capture, self.corner)
-        )
+        camera, capture, corner = (each[mask] for each in (self.camera, self.capture, self.corner))
         return Observations(camera, capture, corner, self.pixels[mask], self.board_points)
 
 
@@ -199,9 +189,8 @@ def collect_observations(views: Sequence[Sequence[Floats | None]], points: Float
     ]
     camera, capture = np.repeat(index, len(points), axis=0).T
     pixels = np.concatenate([views[i][k] for i, k in index])
-    everything = Observations(
-        camera, capture, np.tile(np.arange(len(points)), len(index)), pixels, points
-    )
+    corner = np.tile(np.arange(len(points)), len(index))
+    everything = Observations(camera, capture, corner, pixels, points)
     return everything.select(np.isfinite(pixels).all(axis=1))
 
 

@@ -72,18 +72,15 @@ class CameraReport(_Report):
 
     views_used: tuple[int, ...]  #: indices of the views used
     rejected: Mapping[int, str]  #: index of each other view → reason
-    outliers: tuple[
-        tuple[int, int, float], ...
-    ]  #: (view, corner, px) of used views that were rejected, worst first
+    #: (view, corner, px) of used views that were rejected, worst first
+    outliers: tuple[tuple[int, int, float], ...]
     corners: Mapping[int, Floats]  #: view → (K, 2) px, as observed, NaN where a corner is missing
-    residuals: Mapping[
-        int, Floats
-    ]  #: view → (K, 2) px, predicted minus observed, NaN as above; with outliers
+    #: view → (K, 2) px, predicted minus observed, NaN as above; with outliers
+    residuals: Mapping[int, Floats]
     angles: Mapping[int, Floats]  #: view → (K,) angle of each corner from the optical axis, radians
     T_cam_board: Mapping[int, Pose]  #: view → board → camera
-    cv_error_px: Mapping[
-        int, float
-    ]  #: degree → mean distance on held-out views, px, if it was chosen by them
+    #: degree → mean distance on held-out views, px, if it was chosen by them
+    cv_error_px: Mapping[int, float]
     intrinsics: Intrinsics
     covariance: Floats  #: (4 + degree, 4 + degree), of `intrinsics.vector`
     sigma_px: float  #: noise of the corners in u and in v, from the residuals
@@ -136,8 +133,7 @@ class CameraReport(_Report):
         ]
 
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
-        """Return the camera, and the report with warnings; None: the field of view ends at the last
-        corner.
+        """Return the camera, and the report with warnings; None: up to the last corner.
 
         Raises an `OmnistereoError` if the polynomial is not monotonic over the field of view.
         """
@@ -160,14 +156,10 @@ class CameraReport(_Report):
             ),
         ]
         if self.cv_error_px:
-            table = ", ".join(
-                f"degree {degree}: {error:.3f} px" for degree, error in self.cv_error_px.items()
-            )
+            table = ", ".join(f"degree {d}: {px:.3f} px" for d, px in self.cv_error_px.items())
             lines.append(f"  mean distance on held-out views: {table}")
-        rings = (
-            f"{low}-{low + _RING_DEG}°: {e.mean_px:.3f} ({count})"
-            for low, count, e in self.errors_by_angle()
-        )
+        of_rings = self.errors_by_angle()
+        rings = (f"{low}-{low + _RING_DEG}°: {e.mean_px:.3f} ({n})" for low, n, e in of_rings)
         lines.append(f"  mean distance in px by angle (corners): {', '.join(rings)}")
         lines += [f"  {line}" for line in _rejections(self.rejected, "view", names)]
         if self.outliers:
@@ -240,9 +232,8 @@ class RigReport(_Report):
     shared: Mapping[tuple[int, int], int]  #: (camera, camera) → number of captures that both see
     #: all unknowns of the joint solution; captures in the order of `captures_used`
     params: CalibrationParams
-    covariance: (
-        Floats  #: of its first `num_rig_params` unknowns: intrinsics and the poses of cameras 2 …
-    )
+    #: of its first `num_rig_params` unknowns: intrinsics and the poses of cameras 2 …
+    covariance: Floats
     sigma_px: float  #: noise of the corners in u and in v
     warnings: tuple[str, ...] = ()
 
@@ -255,9 +246,8 @@ class RigReport(_Report):
         poses = np.array([pose.as_vector() for pose in self.params.T_cam_rig[1:]])
         blocks = self.covariance[-poses.size :, -poses.size :].reshape(len(poses), 6, len(poses), 6)
         found = [(0.0, 0.0)]
-        for k, (J, across) in enumerate(
-            zip(rotations(poses[:, :3])[1], cross(poses[:, 3:]), strict=True)
-        ):
+        turns = rotations(poses[:, :3])[1]
+        for k, (J, across) in enumerate(zip(turns, cross(poses[:, 3:]), strict=True)):
             # by δr and δt
             turn, shift = np.hstack([J, np.zeros((3, 3))]), np.hstack([across @ J, np.eye(3)])
             angle, metres = (np.sqrt(np.trace(A @ blocks[k, :, k] @ A.T)) for A in (turn, shift))
@@ -279,9 +269,7 @@ class RigReport(_Report):
                 f"  camera {number}: {camera.rms_px:.3f} px rms ({single.rms_px:.3f} px by"
                 f" itself){pose}"
             )
-        pairs = ", ".join(
-            f"{i + 1}-{j + 1}: {count}" for (i, j), count in sorted(self.shared.items())
-        )
+        pairs = ", ".join(f"{i + 1}-{j + 1}: {n}" for (i, j), n in sorted(self.shared.items()))
         lines.append(f"  captures shared by cameras {pairs}")
         centers = [pose.inverse().t for pose in self.params.T_cam_rig]
         apart = (

@@ -84,9 +84,8 @@ def calibrate_camera(
     True
     """
     check_settings(degree, max_fov_deg)
-    return calibrate_corners(
-        *read_views(views, board, image_size, progress, names), board, degree, max_fov_deg
-    )
+    found = read_views(views, board, image_size, progress, names)
+    return calibrate_corners(*found, board, degree, max_fov_deg)
 
 
 def calibrate_corners(
@@ -98,8 +97,7 @@ def calibrate_corners(
     max_fov_deg: float | None = None,
     given: OcamCamera | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
-    """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject
-    blurred views.
+    """Calibrate one camera, as `calibrate_camera`, from detected corners.
 
     With a `given` camera, only the poses of the board are found.
     """
@@ -158,8 +156,7 @@ def read_views(
     progress: Progress = silent,
     names: Sequence[str] | None = None,
 ) -> tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]:
-    """Return the corners of each view, width and height of the images, and the images if views are
-    images.
+    """Return the corners of each view, the size of the images, and the images if there are some.
 
     Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come
     without the image size.
@@ -240,9 +237,8 @@ def _check_input(
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.
     if images is not None and isinstance(board, Checkerboard) and found < min(FEW_VIEWS, taken / 2):
-        suggestion = suggest_board(
-            [view for view in images if view is not None], board, only_larger=True
-        )
+        shown = [view for view in images if view is not None]
+        suggestion = suggest_board(shown, board, only_larger=True)
         if suggestion is not None:
             (columns, rows), count = suggestion
             raise OmnistereoError(
@@ -274,8 +270,7 @@ def _check_tilts(params: CalibrationParams) -> None:
 def choose_degree(
     params: CalibrationParams, views: Sequence[Floats], points: Floats
 ) -> tuple[int, dict[int, float]]:
-    """Choose the polynomial degree by 3-fold cross-validation over the views; 4 if there are fewer
-    than 6 views.
+    """Choose the degree by 3-fold cross-validation over the views; 4 for fewer than 6 views.
 
     Returns:
         degree: The lowest that the next does not improve by twice the standard error over the
@@ -291,9 +286,8 @@ def choose_degree(
         # The gain on each view that was held out. It has to be so much larger than its standard
         # error, s / √n, that it is no chance: otherwise the simpler polynomial is kept.
         gain = errors[best] - errors[degree]
-        if np.isfinite(gain).all() and gain.mean() > _SIGNIFICANT * gain.std(ddof=1) / np.sqrt(
-            len(gain)
-        ):
+        chance = gain.std(ddof=1) / np.sqrt(len(gain))
+        if np.isfinite(gain).all() and gain.mean() > _SIGNIFICANT * chance:
             best = degree
     return best, {degree: float(error.mean()) for degree, error in errors.items()}
 
@@ -301,8 +295,7 @@ def choose_degree(
 def _cv_errors(
     params: CalibrationParams, views: Sequence[Floats], points: Floats
 ) -> dict[int, Floats]:
-    """Return, for each degree, the mean distance on each view, px, in the camera fitted without it;
-    only its pose is fitted to it.
+    """Return, for each degree, the mean distance on each view, px, in a camera fitted without it.
 
     A distance is limited to three times the median of its view: wrong corners say nothing about the
     degree.
@@ -346,9 +339,8 @@ def _blurred_views(
     images: Sequence[ArrayLike | None], corners: Sequence[Floats | None], board: Checkerboard
 ) -> dict[int, str]:
     """Return views with wider edges than usual: motion blur shifts corners, yet they may fit."""
-    found = (
-        (a, b) for a, b in zip(images, corners, strict=True) if a is not None and b is not None
-    )
+    pairs = zip(images, corners, strict=True)
+    found = ((a, b) for a, b in pairs if a is not None and b is not None)
     widths = [edge_width(image, view, board) for image, view in found]
     reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
     return _far_above_usual(widths, _BLURRED, reason)
@@ -356,6 +348,4 @@ def _blurred_views(
 
 def _far_above_usual(values: Sequence[Any], factor: float, reason: str) -> dict[int, str]:
     usual = np.median(values)
-    return {
-        k: reason.format(value, usual) for k, value in enumerate(values) if value > factor * usual
-    }
+    return {k: reason.format(v, usual) for k, v in enumerate(values) if v > factor * usual}

@@ -21,8 +21,7 @@ OUTLIER = 6.0 / 1.177
 def refine(
     problem: BundleProblem, params: CalibrationParams
 ) -> tuple[CalibrationParams, NDArray[np.bool_]]:
-    """Minimise squares over the inliers of a robust fit: corners within six times the noise of
-    their view.
+    """Minimise squares over the inliers of a robust fit: within six times a view's noise.
 
     Returns:
         inlier_mask: bool array, shape (M,)
@@ -87,9 +86,8 @@ class Solution:
         rays = self.params.intrinsics[i].rays(observed.pixels)
         angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
         table = np.full((len(captures), len(self.observations.board_points), 5), np.nan)
-        table[observed.capture, observed.corner] = np.column_stack(
-            [observed.pixels, residuals, angle]
-        )
+        of_corners = np.column_stack([observed.pixels, residuals, angle])
+        table[observed.capture, observed.corner] = of_corners
         views = {captures[k]: k for k in np.unique(observed.capture)}
         distance = np.where(self.inlier_mask[mine], 0.0, np.linalg.norm(residuals, axis=1))
         worst_first = np.argsort(-distance)[: np.count_nonzero(distance)]

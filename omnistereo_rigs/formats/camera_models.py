@@ -91,9 +91,7 @@ def _kannala_brandt(rays: Floats, **k: float) -> Plane:
 
 # The radius on the plane at an angle from the axis, by the usual names of the projections.
 RADII: dict[str, Callable[[Any], Any]] = {
-    "rectilinear": lambda theta: np.where(
-        theta < np.radians(MAX_PINHOLE_DEG / 2), np.tan(theta), np.nan
-    ),
+    "rectilinear": lambda t: np.where(t < np.radians(MAX_PINHOLE_DEG / 2), np.tan(t), np.nan),
     "equidistant": lambda theta: theta,
     "equisolid": lambda theta: 2 * np.sin(theta / 2),
 }

@@ -96,10 +96,8 @@ def model_cameras(data: Section, folder: Path) -> list[Section]:
                     f"{file}: the images of {camera} have several cameras. Put each into its own "
                     "folder"
                 )
-        return [
-            data.add(names[n], listed[ids[n]] | poses[n], f"camera {names[n]}")
-            for n in moment.images
-        ]
+        shown = moment.images
+        return [data.add(names[n], listed[ids[n]] | poses[n], f"camera {names[n]}") for n in shown]
     return [data.add(f"camera {each}", listed[each] | rig[each]) for each in listed if each in rig]
 
 
@@ -132,8 +130,7 @@ def _pose(words: Sequence[str]) -> Camera:
 
 
 def _read_rigs(file: Path, listed: Mapping[str, Camera]) -> dict[str, Camera]:
-    """Return the pose, rig → camera, of each camera of the one rig in rigs.txt; nothing where each
-    camera is a rig of its own.
+    """Return the pose, rig → camera, of each camera of the one rig in rigs.txt, if there is one.
 
     A line is RIG_ID NUM_SENSORS REF_TYPE REF_ID, then for each other sensor TYPE ID HAS_POSE QW QX
     QY QZ TX TY TZ.
@@ -156,9 +153,7 @@ def _read_rigs(file: Path, listed: Mapping[str, Camera]) -> dict[str, Camera]:
         rigs.append(rig)
     whole = [rig for rig in rigs if len(rig) > 1]
     if len(whole) > 1:
-        raise OmnistereoError(
-            f"{file} has {len(whole)} rigs of several cameras; expected one. Delete the others"
-        )
+        raise OmnistereoError(f"{file} has {len(whole)} rigs of several cameras; expected one")
     return whole[0] if whole else {}
 
 
@@ -167,9 +162,7 @@ def _read_cameras(file: Path) -> dict[str, Camera]:
     for number, words in numbered_lines(file):
         with error_context(f"{file}: line {number}"):
             if len(words) < 5:
-                raise OmnistereoError(
-                    f"found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
-                )
+                raise OmnistereoError(f"found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT …")
             lens = {"camera_model_name": words[1], "width": words[2], "height": words[3]}
             found[words[0]] = lens | {"camera_params": parse_floats(words[4:], "PARAMS").tolist()}
     return found
@@ -227,9 +220,7 @@ def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -
         then = [poses[0].inverse() @ pose for pose in poses]
         if warn_if_different(relative, then, of_first, names[images[cameras[0]]], path, size):
             break
-    of_camera = {
-        name: [n for n, (camera, _) in enumerate(keys) if camera == name] for name in cameras
-    }
+    of_camera = {name: [n for n, key in enumerate(keys) if key[0] == name] for name in cameras}
     return Moment([whole[0][camera] for camera in cameras], of_camera)
 
 

@@ -47,9 +47,7 @@ def _having(*keys: str) -> Callable[[Section, Path], list[Section]]:
     """Return the mappings that have one of the keys."""
     return lambda data, path: [
         data.section(name)
-        for name in in_order(
-            n for n, each in data.values.items() if {*keys} & _mapping(each).keys()
-        )
+        for name in in_order(n for n, cam in data.values.items() if {*keys} & _mapping(cam).keys())
     ]
 
 

@@ -48,8 +48,7 @@ class Lens(NamedTuple):
 
 
 def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
-    """Return the OCam camera of a lens, as far as `max_fov_deg`, and the largest residual of the
-    fit in pixels.
+    """Return the OCam camera of a lens, up to `max_fov_deg`, and its largest residual, pixels.
 
     A UserWarning reports a residual above 0.1 px, and pixels beyond the angle at which the model
     stops being one to one; an `OmnistereoError` refuses one above 10 px.
@@ -62,13 +61,9 @@ def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
             camera, residual = fit_ocam(project, size, limit, mask)
             degrees, lost = _pixels_beyond(project, size, mask)
     except np.linalg.LinAlgError:
-        raise OmnistereoError(
-            f"no camera fits the {model} parameters {parameters}. Check them"
-        ) from None
+        raise OmnistereoError(f"no camera fits {model} with {parameters}. Check them") from None
     fov = camera.max_fov_deg
-    _log.info(
-        "%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, fov, residual
-    )
+    _log.info("%s: %s fitted by OCam, %.1f° seen, residual %.2g px", source, model, fov, residual)
     follows = f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px"
     if not residual < _ANOTHER_LENS:
         raise OmnistereoError(

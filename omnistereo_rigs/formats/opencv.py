@@ -140,10 +140,8 @@ def _layout(data: Section) -> dict[str, dict[str, Any]]:
         check_count(count)
         if {*map(len, lists.values())} != {count}:
             raise OmnistereoError(f"{' '.join(lists)} have different lengths; expected {count}")
-        return {
-            f"camera {n + 1}": {_LISTS[key]: value[n] for key, value in lists.items()}
-            for n in range(count)
-        }
+        each = ({_LISTS[key]: value[n] for key, value in lists.items()} for n in range(count))
+        return {f"camera {n}": cam for n, cam in enumerate(each, 1)}
     if "cameras" in data.values:
         value = data.require("cameras")
         cams = value if isinstance(value, Mapping) else dict(enumerate(value, 1))
@@ -157,7 +155,12 @@ def _layout(data: Section) -> dict[str, dict[str, Any]]:
     numbered: dict[int, dict[str, Any]] = {}  # as K1, D1, R2, T2
     for key in data.values:
         if found := _numbered(key):
-            numbered.setdefault(found[1], {})[found[0]] = data.get(key)
+            cam = numbered.setdefault(found[1], {})
+            if found[0] in cam:
+                raise OmnistereoError(
+                    f"{key}: camera {found[1]} has another {found[0]}. Delete one"
+                )
+            cam[found[0]] = data.get(key)
     numbered = {n: numbered[n] for n in sorted(numbered) if _has_matrix(numbered[n])}
     check_count(len(numbered))
     R, T = data.get("R"), data.get("T")
@@ -179,9 +182,7 @@ def _flat(cam: Mapping[str, Any]) -> dict[str, Any]:
         for name, inner in value.items() if is_block else [(key, value)]:
             name = str(name).lower() if str(name).lower() in ("xi", "alpha", "beta") else str(name)
             if flat.setdefault(name, inner) != inner:
-                raise OmnistereoError(
-                    f"{name} is stated twice with different values. Delete the wrong one"
-                )
+                raise OmnistereoError(f"{name} is stated twice, differently. Delete the wrong one")
     return flat
 
 
@@ -193,9 +194,7 @@ def _model(cam: Section) -> str:
     # pinhole + equidistant is a fisheye
     stated = dict.fromkeys(ALIASES.get(word, word) for word in words if word != "pinhole")
     if len(stated) > 1:
-        raise OmnistereoError(
-            f"two camera models are stated, {' and '.join(words)}. Delete the wrong one"
-        )
+        raise OmnistereoError(f"two camera models are stated, {' and '.join(words)}. Delete one")
     if words:
         return [*stated, "plumb_bob"][0]
     if shown := next((name for name, has in _SHOWN_BY.items() if has <= cam.values.keys()), None):

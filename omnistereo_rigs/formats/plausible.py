@@ -38,8 +38,7 @@ def check_cameras(cameras: Sequence[OcamCamera], source: Path) -> None:
 
 
 def _doubt(camera: OcamCamera) -> str | None:
-    """Return what is wrong with pixels that are no squares, or with a principal point far from the
-    middle of the image.
+    """Return the doubt in pixels that are no squares, or in a principal point off the middle.
 
     In the middle of one half of it there are two lenses. An `OmnistereoError` refuses one outside.
     """

@@ -125,8 +125,7 @@ def read_rig(
 
 
 def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
-    """Read one camera: an OCamCalib text file, a lens file, or any supported format that holds one
-    camera.
+    """Read one camera: an OCamCalib text file, or any supported format that holds one.
 
     Args:
         path: The file.
@@ -142,8 +141,7 @@ def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamC
 
 
 def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[OcamCamera]:
-    """Read the cameras of a rig file, or of a folder of files of one camera each, without their
-    poses.
+    """Read the cameras of a rig file, or of a folder of lens files, without their poses.
 
     Args:
         path, max_fov_deg: As for `read_any_rig`; a folder needs no poses.txt.
@@ -329,9 +327,7 @@ def _layers(data: Any) -> Iterator[dict[str, Any]]:
     if isinstance(data, list):
         rigs = [each for each in data if isinstance(each, dict) and "cameras" in each]
         if len(rigs) > 1:
-            raise OmnistereoError(
-                f"the file holds {len(rigs)} rigs; expected one. Delete the others"
-            )
+            raise OmnistereoError(f"the file holds {len(rigs)} rigs; expected one. Delete others")
         data = rigs[0] if rigs else {"cameras": data}
     while isinstance(data, dict):
         yield data

@@ -101,7 +101,10 @@ def in_order(names: Iterable[Any]) -> list[Any]:
     ends = [re.fullmatch(r"(\D*)([0-9]{1,9})", str(name)) for name in found]
     if len({end and end[1] for end in ends}) > 1 or None in ends:
         return found
-    return sorted(found, key=lambda name: int(re.sub(r"\D", "", str(name))))
+    numbers = {int(re.sub(r"\D", "", str(name))): name for name in found}
+    if len(numbers) < len(found):
+        raise OmnistereoError(f"two of {', '.join(map(str, found))} have one number. Rename one")
+    return [numbers[number] for number in sorted(numbers)]
 
 
 def interpret(row: Dialect, data: Section, path: Path) -> Found:
@@ -185,9 +188,8 @@ def _named(cam: Section, place: str, names: Sequence[str]) -> dict[str, float]:
             raise OmnistereoError(f"{key} is {values}; expected fx skew cx, 0 fy cy, 0 0 1")
     counts = sorted({len(names), *((4, 5) if names == RADTAN else ())})
     if len(values) > len(names) and not any(values[len(names) :]):
-        cam.note(
-            f"{key} has {len(values)} numbers; the zeros after the first {len(names)} are dropped"
-        )
+        count = len(names)
+        cam.note(f"{key} has {len(values)} numbers; the zeros after the first {count} are dropped")
         values = values[: len(names)]
     if len(values) not in counts:
         expected = ", ".join(map(str, counts))
@@ -239,19 +241,15 @@ def parse_pose(cam: Section, way: Way) -> Pose:
     place, *rest = way.keys.split()
     value = cam.require(place)
     if isinstance(value, Mapping) and "qw" in value:
-        q, p = (
-            [cam.number(f"{place}.{name}") for name in names.split()]
-            for names in ("qw qx qy qz", "px py pz")
-        )
-        pose = quaternion_pose(np.array(q), np.array(p))
+        q = np.array([cam.number(f"{place}.q{axis}") for axis in "wxyz"])
+        pose = quaternion_pose(q, np.array([cam.number(f"{place}.p{axis}") for axis in "xyz"]))
     elif not rest:
         pose = cam.pose(place)
     else:
         t, key = cam.require(rest[0]), cam.at(rest[0])[1]
         t = [t.get(axis) for axis in "xyz"] if isinstance(t, Mapping) and "x" in t else t
-        pose = Pose(
-            _rotation(cam, cam.at(place)[1], value, way.is_quaternion), parse_floats(t, key, 3)
-        )
+        R = _rotation(cam, cam.at(place)[1], value, way.is_quaternion)
+        pose = Pose(R, parse_floats(t, key, 3))
     return pose if way.axes is None else Pose(pose.R @ way.axes, pose.t)
 
 

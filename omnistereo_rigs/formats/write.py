@@ -31,8 +31,7 @@ Parameters = Sequence[Mapping[str, float]]  # of the model "kb4", for each camer
 
 
 def convert(rig: Rig, program: str, path: Path) -> list[str]:
-    """Write a rig for a program, one of `PROGRAMS`, into a file, or into a folder for COLMAP and
-    OCam.
+    """Write a rig for a program, one of `PROGRAMS`, into a file; for COLMAP, OCam a folder.
 
     Returns what the user must know. UserWarning if the lenses differ by more than a pixel.
     """
@@ -79,8 +78,7 @@ def fit_lenses(rig: Rig) -> tuple[Parameters, list[float]]:
 
 
 def _fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
-    """Fit the Kannala-Brandt model, which has no d and e of the affine map, to an OCam camera:
-    linear least squares.
+    """Fit the Kannala-Brandt model to an OCam camera by linear least squares.
 
     Returns its parameters, and the largest distance in pixels between the two models over the
     field of view, infinite where the fit is not one to one. OmnistereoError if the field is too
@@ -96,9 +94,7 @@ def _fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
     scale = powers.max(axis=0)
     f, *rest = (np.linalg.lstsq(powers / scale, radius, rcond=None)[0] / scale).tolist()
     if not f > 0:
-        raise OmnistereoError(
-            f"no Kannala-Brandt camera follows this lens over {camera.max_fov_deg:.0f}°"
-        )
+        raise OmnistereoError(f"no Kannala-Brandt lens follows this over {camera.max_fov_deg:.0f}°")
     k = {f"k{i}": value / f for i, value in enumerate(rest, start=1)}
     parameters = {"fx": f, "fy": f * c, "cx": camera.center[0], "cy": camera.center[1], **k}
     fitted, valid = make_camera_model("kb4", parameters)(rays)
@@ -169,17 +165,15 @@ def write_transforms(rig: Rig, parameters: Parameters, path: Path) -> None:
 
 
 def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
-    """Write a folder that COLMAP opens: an empty model with the cameras, rig_config.json, and
-    masks.
+    """Write a folder that COLMAP opens: an empty model with cameras, rig_config.json and masks.
 
     The centre of the top-left pixel is (0.5, 0.5); poses are rig → camera, camera 1 the reference.
     masks/cam1.png is black where COLMAP has no right ray, from 85° on.
     """
     folder = make_folder(folder)
     lines, cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"], []
-    for i, (camera, p, T) in enumerate(
-        zip(rig.cameras, parameters, _relative(rig), strict=True), start=1
-    ):
+    found = zip(rig.cameras, parameters, _relative(rig), strict=True)
+    for i, (camera, p, T) in enumerate(found, 1):
         values = [p["fx"], p["fy"], p["cx"] + 0.5, p["cy"] + 0.5, *(p[name] for name in FISHEYE)]
         width, height = camera.image_size
         lines.append(f"{i} OPENCV_FISHEYE {width} {height} {' '.join(map(repr, values))}")

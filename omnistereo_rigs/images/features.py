@@ -1,5 +1,4 @@
-"""Features of fisheye images as rays, their matches, and tracks of one point through several
-images.
+"""Features of fisheye images as rays, matches, and tracks of points through several images.
 
 SIFT runs on tangent views of the sphere, so any lens and any rotation between the cameras will do.
 """
@@ -47,6 +46,13 @@ class Features:
     descriptors: NDArray[np.float32]
 
 
+def in_gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image, (H, W[, 3]) uint8, in gray."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
 class FeatureFinder:
     """Finds features in the images of one camera, which it looks at through tangent views.
 
@@ -75,11 +81,7 @@ class FeatureFinder:
 
     def find(self, image: NDArray[np.uint8]) -> Features:
         """Return the features of an image, (H, W[, 3]) uint8, each by its best view."""
-        gray = (
-            image
-            if image.ndim == 2
-            else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-        )
+        gray = in_gray(image)
         sift: Any = cv2.SIFT_create(  # type: ignore[attr-defined]  # OpenCV's stubs lack it
             _MOST_PER_VIEW,
             contrastThreshold=0.008,
@@ -90,7 +92,7 @@ class FeatureFinder:
         # None: with an empty array in its place OpenCV 5.0 samples nonsense in other modes
         no_second: Any = None
         for R, uv, inside in self.views:
-            view = cv2.remap(np.asarray(gray, np.uint8), uv, no_second, cv2.INTER_CUBIC)
+            view = cv2.remap(gray, uv, no_second, cv2.INTER_CUBIC)
             keypoints, found = sift.detectAndCompute(view, inside)
             if keypoints:
                 rays.append(self._rays(np.array([k.pt for k in keypoints]), R))
@@ -109,8 +111,7 @@ class FeatureFinder:
 def match_features(
     a: Features, b: Features, T_b_a: Pose | None = None, band_deg: float = 1.5
 ) -> tuple[Ints, Floats]:
-    """Return pairs of indices (M, 2) into two sets, and the ratio to the second best match, (M,),
-    low is sure.
+    """Return pairs of indices (M, 2) into two sets, and ratios to the second best, low is sure.
 
     Each is the other's best match, and the second best, somewhere else, is clearly worse.
 
@@ -128,9 +129,8 @@ def match_features(
         normals = np.cross(there, T_b_a.t)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         off_plane = np.abs((normals @ b.rays.T).astype(np.float32)) > np.sin(np.radians(band_deg))
-        too_far = (there @ b.rays.T).astype(np.float32) < np.cos(
-            np.radians(_FARTHEST_DEG + band_deg)
-        )
+        angles = (there @ b.rays.T).astype(np.float32)
+        too_far = angles < np.cos(np.radians(_FARTHEST_DEG + band_deg))
         similar[off_plane | too_far] = -1.0
     # The second best among the next four: the others may be the same thing at another scale.
     rows, back = np.arange(len(similar)), similar.argmax(axis=0)
@@ -158,8 +158,7 @@ def match_features(
 
 
 def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -> Ints:
-    """Return pairs of indices (M, 2) into two sets that are each other's best match near a
-    predicted direction.
+    """Return pairs of indices (M, 2) that are each other's best match near a predicted direction.
 
     Only what lies in the gates is compared, so that thousands of features take milliseconds.
 
@@ -178,9 +177,8 @@ def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -
         if len(i)
         else np.zeros(0, np.int64)
     )
-    distance = np.sqrt(
-        np.maximum(2 - 2 * np.einsum("kd,kd->k", a.descriptors[i], b.descriptors[j]), 0)
-    )
+    cosine = np.einsum("kd,kd->k", a.descriptors[i], b.descriptors[j])
+    distance = np.sqrt(np.maximum(2 - 2 * cosine, 0))
     # The best of each feature of a, and the second best somewhere else.
     order = np.lexsort((distance, i))
     i, j, distance = i[order], j[order], distance[order]
@@ -267,9 +265,8 @@ def _sphere_directions(count: int) -> Floats:
     k = np.arange(count)
     z = 1 - (2 * k + 1) / count
     angle = np.pi * (1 + np.sqrt(5)) * k
-    return np.stack(
-        [np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=1
-    )
+    n = np.sqrt(1 - z**2)
+    return np.stack([n * np.cos(angle), n * np.sin(angle), z], axis=1)
 
 
 def _rotation_to(axis: Floats) -> Floats:

@@ -1,5 +1,4 @@
-"""A rig measured from ordinary images of it, without a board: what the cameras share tells their
-poses.
+"""A rig measured from ordinary images, without a board: what cameras share tells the poses.
 
 `find_pairs` needs no poses at all, `measure_rig` adjusts all cameras over all frames together.
 """
@@ -151,9 +150,8 @@ def relative_poses(rig: Rig) -> dict[tuple[int, int], RelativePose]:
     found = {}
     for i, j in combinations(range(len(rig)), 2):
         T = rig.T_rig_cam[j].inverse() @ rig.T_rig_cam[i]
-        found[i, j] = RelativePose(
-            Pose(T.R, T.t / max(float(np.linalg.norm(T.t)), 1e-12)), 1000, 1000
-        )
+        length = max(float(np.linalg.norm(T.t)), 1e-12)
+        found[i, j] = RelativePose(Pose(T.R, T.t / length), 1000, 1000)
     return found
 
 
@@ -206,8 +204,7 @@ def rig_from_pairs(
     baseline: float | None = None,
     radius: float | None = None,
 ) -> Rig:
-    """Return a first rig from features and one length in metres, in the frame of camera 1; see
-    `chain_poses`.
+    """Return a first rig, frame of camera 1, from features and one length; see `chain_poses`.
 
     Args:
         baseline: Distance of cameras 1 and 2.
@@ -283,10 +280,8 @@ def measure_rig(
 
 def in_odd_sector(directions: Floats) -> NDArray[np.bool_]:
     """Return whether directions (..., 3) are in odd ones of twelve sectors around the y axis."""
-    return (
-        np.floor(np.degrees(np.arctan2(directions[..., 0], directions[..., 2])) / _SECTOR_DEG) % 2
-        == 1
-    )
+    around = np.degrees(np.arctan2(directions[..., 0], directions[..., 2]))
+    return np.asarray(np.floor(around / _SECTOR_DEG) % 2 == 1)
 
 
 def adjust_tracks(

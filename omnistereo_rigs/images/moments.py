@@ -303,9 +303,8 @@ def match_times(first: Sequence[int], other: Sequence[int], limit: float) -> dic
     pairs: dict[int, tuple[int, int]] = {}
     for b, time in enumerate(other if first else ()):
         k = bisect_left(first, time)
-        apart, a = min(
-            (abs(first[a] - time), a) for a in range(max(k - 1, 0), min(k + 1, len(first)))
-        )
+        near = range(max(k - 1, 0), min(k + 1, len(first)))
+        apart, a = min((abs(first[a] - time), a) for a in near)
         if apart <= limit and (a not in pairs or apart < pairs[a][0]):
             pairs[a] = apart, b
     return {a: b for a, (_, b) in sorted(pairs.items())}

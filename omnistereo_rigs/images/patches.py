@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_rigs.images.features import Tracks
+from omnistereo_rigs.images.features import Tracks, in_gray
 from omnistereo_rigs.images.track_bundle import TrackBundle
 
 # In pixels: patches are 13 × 13.
@@ -23,8 +23,7 @@ _SLANTED = 0.15
 
 
 def refine_tracks(bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Tracks:
-    """Match the patch of each point anew: a small plane there, seen by one camera, must look the
-    same in the others.
+    """Match patches anew: a small plane at a point looks the same in all cameras that see it.
 
     The camera that sees the point nearest to its axis is the reference, whose observation becomes
     where the bundle puts the point. In the others shift, affine map, gain and offset are adjusted.
@@ -168,9 +167,6 @@ class _PatchMatcher:
 
 def _with_slopes(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], ...]:
     """Return an image in gray, a little blurred, and its slopes to the right and down."""
-    gray = (
-        image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-    )
-    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.8)
+    smooth = cv2.GaussianBlur(in_gray(image).astype(np.float32), (0, 0), 0.8)
     slopes = [cv2.Sobel(smooth, -1, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))]
     return np.asarray(smooth, np.float32), *(np.asarray(slope, np.float32) for slope in slopes)

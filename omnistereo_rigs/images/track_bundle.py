@@ -1,5 +1,4 @@
-"""Bundle adjustment of a rig over tracks: camera poses, points as inverse distances, on request
-lens corrections.
+"""Bundle adjustment of a rig over tracks: poses, inverse distances, and lenses if asked.
 
 A point is a unit direction u and an inverse distance ρ from the middle of the rig, so that
 infinitely far points are not special. A camera sees it along Rᵀ (u - ρ t). The residual is the
@@ -90,10 +89,8 @@ class TrackBundle:
 
     def _observed(self) -> tuple[Floats, Floats, Floats]:
         """Return the rays (M, 3), matrices (M, 2, 3) ray → pixels, and pixels from the centre."""
-        rays, to_px = (
-            np.zeros((len(self.tracks.point), 3)),
-            np.zeros((len(self.tracks.point), 2, 3)),
-        )
+        count = len(self.tracks.point)
+        rays, to_px = np.zeros((count, 3)), np.zeros((count, 2, 3))
         from_center = np.zeros_like(self.tracks.pixels)
         for i, camera in enumerate(self.rig.cameras):
             mine = self.tracks.camera == i
@@ -181,8 +178,7 @@ class TrackBundle:
         return residuals, np.concatenate(parts, axis=2), d_point
 
     def _reduced(self, scale: float, damping: float = 0.0) -> tuple[Floats, ...]:
-        """Return the normal equations without the points (Schur complement), and what returns to
-        the points.
+        """Return the normal equations without points (Schur complement), and the way back to them.
 
         The weight of a track is Geman and McClure's: (1 + misfit / scale²)⁻².
 
@@ -231,10 +227,7 @@ class TrackBundle:
 
     def _prior(self) -> tuple[Floats, Floats]:
         """Return weights and gradient of the priors, (cameras · width,) each."""
-        weights, offsets = (
-            np.zeros((len(self.rig), self.width)),
-            np.zeros((len(self.rig), self.width)),
-        )
+        weights, offsets = np.zeros((2, len(self.rig), self.width))
         # A prior adds (t - t₀)² / σ² to the cost: the weight is 1/σ², the gradient weight times
         # offset.
         if self.centre_sd is not None:
@@ -326,8 +319,7 @@ class TrackBundle:
         return G.reshape(-1, _GAUGE)
 
     def covariance(self) -> Floats:
-        """Return the covariance (6 · cameras, 6 · cameras) of rotations (radians) and centres
-        (metres), rig frame.
+        """Return the covariance of rotations (radians), centres (m): (6 cameras, 6 cameras).
 
         It is that of `pose_differences`: without a common rotation, shift and scale. What is
         independent are not the points, but `cells` of them, whose gradients are summed (sandwich;
@@ -399,8 +391,7 @@ class TrackBundle:
 
 
 def pose_differences(rig: Rig, reference: Rig) -> Floats:
-    """Return how each camera is rotated (radians) and shifted (metres) against a reference,
-    (cameras, 6), rig frame.
+    """Return each camera's turn (radians) and shift (metres) from a reference, (cameras, 6).
 
     A rotation, a shift and a scale that are common to all cameras are taken away: images alone do
     not show them.
@@ -418,9 +409,8 @@ def pose_differences(rig: Rig, reference: Rig) -> Floats:
 def moved_rig(rig: Rig, differences: Floats) -> Rig:
     """Return a rig whose `pose_differences` to this one are given, shape (cameras, 6)."""
     moved = zip(rig.T_rig_cam, differences, strict=True)
-    return rig.with_poses(
-        [Pose(rotation_from_axis_angle(d[:3]) @ pose.R, pose.t + d[3:]) for pose, d in moved]
-    )
+    poses = [Pose(rotation_from_axis_angle(d[:3]) @ T.R, T.t + d[3:]) for T, d in moved]
+    return rig.with_poses(poses)
 
 
 def whitening(covariance: Floats) -> Floats:

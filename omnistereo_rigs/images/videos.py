@@ -104,9 +104,8 @@ def _streams(path: Path) -> list[Video]:
             ]
     except (av.error.FFmpegError, OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
-        raise OmnistereoError(
-            f"{path} is not a video that can be read: {why}. Convert it."
-        ) from None
+        reason = f"{path} is not a video that can be read: {why}. Convert it."
+        raise OmnistereoError(reason) from None
     if not videos:
         raise OmnistereoError(f"{path} has no frames. Copy it again, or convert it.")
     return videos

@@ -96,9 +96,7 @@ class Watch:
 
     def _who(self) -> Turned | None:
         """Return the camera that has turned beyond doubt, by one look or the mean of several."""
-        groups = [
-            self.looks[-count:] for count in _TOGETHER if len(self.looks) - count >= REFERENCE
-        ]
+        groups = [self.looks[-n:] for n in _TOGETHER if len(self.looks) - n >= REFERENCE]
         found = [who_turned(self.rig, *self.change(group), group[0].frame) for group in groups]
         best = min(found, key=lambda one: one.p_value, default=None)
         return best if best is not None and best.p_value * len(found) < _SURE else None
@@ -124,9 +122,8 @@ class Watch:
         """Return each camera's turn in a look and its deviation, degrees (cameras, 2)."""
         change, covariance = self.change([look])
         blocks = np.diag(covariance).reshape(-1, 2, 3)[:, 0].sum(axis=1)
-        return np.degrees(
-            np.stack([np.linalg.norm(change[:, :3], axis=1), np.sqrt(blocks)], axis=1)
-        )
+        turns = np.linalg.norm(change[:, :3], axis=1)
+        return np.degrees(np.stack([turns, np.sqrt(blocks)], axis=1))
 
     def rig_now(self) -> Rig:
         """Return the rig with the cameras turned that were warned of."""

@@ -252,6 +252,21 @@ def test_lists_of_different_lengths_are_refused(tmp_path):
         read(tmp_path / "rig.json", data, "cm")
 
 
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (
+            numbered(lambda name, n: f"{name}{n}") | {"K02": K.tolist()},
+            "K02: camera 2 has another K",
+        ),
+        ({"cameras": {"cam2": LENS, "cam02": LENS | POSE}}, "two of cam2, cam02 have one number"),
+    ],
+)
+def test_two_cameras_of_one_number_are_refused(tmp_path, data, message):
+    with pytest.raises(OmnistereoError, match=message):
+        read(tmp_path / "rig.json", data, "cm")
+
+
 def test_zeros_behind_the_coefficients_are_dropped(tmp_path):
     lens = LENS | {"D": [*K4, 0.0]}
     _, said = read(tmp_path / "rig.json", {"cameras": [lens, lens | POSE]}, "cm")
