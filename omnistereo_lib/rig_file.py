@@ -176,11 +176,16 @@ def is_omnimvs(data: Any) -> bool:
 
 
 def numbered_files(folder: Path, *patterns: str) -> list[Path]:
-    """Return the files of the first pattern that has some, in the order of their numbers: 2 before
-    10.
-    """
-    found = next((files for pattern in patterns if (files := [*folder.glob(pattern)])), [])
-    return sorted(found, key=lambda file: (len(file.name), file.name))
+    """Return the files of the first pattern that has some, by their numbers: 2 before 10."""
+    found = next((files for pattern in patterns if (files := sorted(folder.glob(pattern)))), [])
+    numbers: dict[tuple[int, ...], Path] = {}
+    for file in found:
+        number = tuple(map(int, re.findall("[0-9]+", file.stem)))
+        if (other := numbers.setdefault(number, file)) != file:
+            raise OmnistereoError(
+                f"{folder}: {other.name} and {file.name} are of one camera. Delete one"
+            )
+    return [numbers[number] for number in sorted(numbers)]
 
 
 def read_poses(file: Path) -> list[Pose]:

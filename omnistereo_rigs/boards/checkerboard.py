@@ -68,7 +68,8 @@ class Checkerboard(Board):
                 " columns and rows"
             )
         object.__setattr__(self, "corners", (int(counts[0]), int(counts[1])))
-        object.__setattr__(self, "square", check_edge(self.square, "the square (its edge in m)"))
+        square = check_edge(self.square, "the square (its edge in metres)")
+        object.__setattr__(self, "square", square)
 
     def __str__(self) -> str:
         columns, rows = self.corners

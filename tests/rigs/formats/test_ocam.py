@@ -25,7 +25,7 @@ from rigs.formats.rig_file_samples import (
     write,
 )
 
-from omnistereo_lib import OmnistereoError, Pose, Rig, save_rig
+from omnistereo_lib import OmnistereoError, Pose, Rig, load_rig, save_rig
 from omnistereo_lib.ocam_text import write_ocam_txt
 from omnistereo_lib.rig_file import write_ocam_folder
 from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
@@ -214,6 +214,17 @@ def test_poses_that_no_rig_has(tmp_path):
         OmnistereoError, match=r"config.yaml: a camera stands 1001 m from the origin"
     ):
         read_any_rig(dump(tmp_path / "config.yaml", rig))
+
+
+@pytest.mark.parametrize(("first", "second"), [("ocam2", "ocam02"), ("ocam1", "ocam01")])
+def test_two_files_of_one_camera_are_refused(tmp_path, first, second):
+    ocam_folder(tmp_path, 3, POSES_TXT)
+    (tmp_path / f"{second}.txt").write_text((tmp_path / f"{first}.txt").read_text())
+    for function in (load_rig, read_any_rig):
+        with pytest.raises(
+            OmnistereoError, match=f"{second}.txt and {first}.txt are of one camera"
+        ):
+            function(tmp_path, "m")
 
 
 def test_a_folder_with_both_formats(tmp_path):
