@@ -111,8 +111,7 @@ def _add_costs(
         _slide(sums, new, old)
         # Slide along the row, and compare.
         if y >= 0:
-            for q in range(6):
-                _add_columns(sums[q], window, box[q])
+            _add_columns(sums, window, box)
             _correlate(box, ring[y % (window + 1)][0][radius * _LANES :], pair)
             _add_wrapped(pair[0], start % W * _LANES, count[y])
             _add_wrapped(pair[1], start % W * _LANES, total[y])
@@ -154,16 +153,18 @@ def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
 
 @numba.njit
 def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
-    """Write the sums over the columns of the window to box."""
-    # The first window is summed in full; each other gains the column ahead, loses the one behind.
-    box[:_LANES] = 0
-    for x in range(window):
+    """Write the six sums over the columns of the window to box."""
+    for q in range(6):
+        # The first window is summed in full; each other gains the column ahead, loses the one
+        # behind. In one array: so the compiler sees that a read is 16 lanes behind the writes.
         for k in range(_LANES):
-            box[k] += sums[x * _LANES + k]
-    last, ahead = box[:-_LANES], sums[window * _LANES :]
-    out = box[_LANES:]
-    for t in range(len(out)):
-        out[t] = last[t] + (ahead[t] - sums[t])
+            box[q, k] = 0
+        for x in range(window):
+            for k in range(_LANES):
+                box[q, k] += sums[q, x * _LANES + k]
+        for t in range(box.shape[1] - _LANES):
+            ahead, behind = sums[q, t + window * _LANES], sums[q, t]
+            box[q, t + _LANES] = box[q, t] + (ahead - behind)
 
 
 @numba.njit(error_model="numpy")
