@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.arrays import as_array
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.files import as_path, atomic_write, checksum
@@ -164,7 +165,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     """Return the images as arrays, checked against the cameras of the rig, as `Frame.of` does."""
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    arrays = [_as_array(image, f"image {i}") for i, image in enumerate(images, 1)]
+    arrays = [as_array(image, f"image {i}", None) for i, image in enumerate(images, 1)]
     for i, (image, (width, height)) in enumerate(
         zip(arrays, rig.image_sizes(len(arrays)), strict=True)
     ):
@@ -184,22 +185,6 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
             np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays
         ]
     return arrays
-
-
-def _as_array(image: Any, name: str) -> NDArray[Any]:
-    """Return an image as an array in this machine's byte order: of tensors without importing torch.
-
-    Raises an `OmnistereoError` if NumPy has no such arrays, as of bfloat16 or sparse tensors.
-    """
-    try:
-        array = np.asarray(image.detach().cpu() if hasattr(image, "detach") else image)
-        return array.astype(array.dtype.newbyteorder("="), copy=False)
-    except (TypeError, ValueError, RuntimeError) as error:
-        kind = f"{type(image).__name__} of {getattr(image, 'dtype', 'something')}"
-        raise OmnistereoError(
-            f"{name} is a {kind}, which NumPy cannot take ({shortened(error)}); expected an array "
-            "of uint8 or float"
-        ) from None
 
 
 def _within_range(image: NDArray[Any], name: str) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import fields
 from difflib import get_close_matches
 from io import TextIOWrapper
 from types import ModuleType
@@ -30,7 +31,7 @@ from omnistereo_tools.commands import (
     world_command,
 )
 from omnistereo_tools.outputs import let_go
-from omnistereo_tools.parser import Options, add_options, is_tiny
+from omnistereo_tools.parser import Options, add_options, flag, is_tiny
 
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile("(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
@@ -65,8 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             module, options = _parse(list(sys.argv[1:] if arguments is None else arguments))
             if is_tiny():
                 _say("OMNISTEREO_TINY is set: the results are too small to mean anything")
+            said = set[str]()  # a warning that two parts of a command have is told once
             with warnings.catch_warnings():
-                warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+                warnings.showwarning = lambda message, *_: _warn(f"warning: {message}", said)
                 return module.run(options) or 0
         finally:
             let_go()
@@ -95,6 +97,12 @@ def _say(line: str) -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)  # one may stand in the line
     with bars.external_write_mode(sys.stderr) if bars else nullcontext():
         print(one_line(line), file=sys.stderr, flush=True)
+
+
+def _warn(line: str, said: set[str]) -> None:
+    if line not in said:
+        said.add(line)
+        _say(line)
 
 
 def _stop(line: str, status: int) -> int:
@@ -142,8 +150,14 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
         names = ", ".join(COMMANDS)
         guess = f"Did you mean {similar[0]}?" if similar else f"Expected one of {names}."
         parser.exit(2, f"error: there is no command {arguments[0]!r}. {guess}\n")
-    typed = vars(parser.parse_args(arguments))
-    module = COMMANDS[typed.pop("command")]
+    known, unknown = parser.parse_known_args(arguments)
+    typed = vars(known)
+    module = COMMANDS[name := typed.pop("command")]
+    if unknown:
+        flags = [flag(one.name) for one in fields(_options_of(module))]
+        similar = get_close_matches(unknown[0].partition("=")[0], flags, n=1)
+        guess = f". Did you mean {similar[0]}?" if similar else ""
+        commands.choices[name].error(f"unrecognized arguments: {' '.join(unknown)}{guess}")
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in typed.items()
     }

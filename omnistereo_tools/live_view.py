@@ -152,11 +152,7 @@ class Cameras:
             _open(one, None if self._alone else size)
             for one, size in zip(numbers, sizes, strict=False)
         ]
-        if (first := next(self._moments(), None)) is None:
-            raise OmnistereoError(
-                f"camera {' or '.join(map(str, numbers))} gives no picture. Check the cameras."
-            )
-        self.first = first
+        self.first = next(self._moments())
         self.newest = Latest()
         self._going, self._single = Event(), False
         self._going.set()
@@ -180,7 +176,7 @@ class Cameras:
         self._going.set()
 
     def read(self) -> None:
-        """Read until a source ends, or `close`; meant for a thread."""
+        """Read until videos end, or `close`; meant for a thread."""
         due = time.monotonic()
         for images in self._moments():
             if self.period and not self._going.is_set():
@@ -195,7 +191,6 @@ class Cameras:
                 self._going.clear()
             due += self.period
             time.sleep(max(0.0, due - time.monotonic()))
-        self.newest.close()
 
     def _moments(self) -> Iterator[list[NDArray[np.uint8]]]:
         """Yield the images of all cameras, RGB, of one moment after the other."""
@@ -206,14 +201,20 @@ class Cameras:
             yield from self.recording.read(frames, self.rig)
             while self.loop:
                 yield from self.recording.read(frames, self.rig)
-        # First grab all, then decode: they are nearer in time.
-        while self._devices and all(device.grab() for device in self._devices):
+        while self._devices:
+            # First grab all, then decode: they are nearer in time.
+            grabbed = [device.grab() for device in self._devices]
             pictures = [device.retrieve()[1] for device in self._devices]
-            images = [cv2.cvtColor(one, cv2.COLOR_BGR2RGB) for one in pictures]
-            if self._alone:
-                yield split_image(np.asarray(images[0], np.uint8), self.rig, str(self._names[0]))
-            else:
-                yield [np.asarray(image, np.uint8) for image in images]
+            for name, is_there, picture in zip(self._names, grabbed, pictures, strict=True):
+                if not is_there or picture is None:
+                    raise OmnistereoError(
+                        f"camera {name} gives no picture. Check its cable, and that nothing else"
+                        " uses it."
+                    )
+            images = [
+                np.asarray(cv2.cvtColor(one, cv2.COLOR_BGR2RGB), np.uint8) for one in pictures
+            ]
+            yield split_image(images[0], self.rig, str(self._names[0])) if self._alone else images
 
 
 def _is_camera(source: int | str) -> bool:
@@ -254,22 +255,25 @@ def _play(
     cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None
 ) -> Generator[LivePicture]:
     """Read, compute depth and draw at the same time, each the newest there is."""
-    scale, computed, failed = ColorScale(0.0, 0.8 / sweep.grid.min_depth), Latest(), []
+    scale, computed = ColorScale(0.0, 0.8 / sweep.grid.min_depth), Latest()
+    failed = list[Exception]()
 
     def compute() -> None:
+        for number, images in enumerate(cameras.newest):
+            now = watching.sweep_of(number, images) if watching else sweep
+            computed.put(sweep_depth(now, images, method))
+
+    def work(part: Callable[[], None], made: Latest) -> None:
+        """Do a part, to its end or its failure: who waits for what it makes is told."""
         try:
-            for number, images in enumerate(cameras.newest):
-                computed.put(
-                    sweep_depth(
-                        watching.sweep_of(number, images) if watching else sweep, images, method
-                    )
-                )
+            part()
         except Exception as error:
             failed.append(error)
         finally:
-            computed.close()
+            made.close()
 
-    threads = [Thread(target=target, daemon=True) for target in (cameras.read, compute)]
+    parts = (cameras.read, cameras.newest), (compute, computed)
+    threads = [Thread(target=work, args=part, daemon=True) for part in parts]
     for thread in threads:
         thread.start()
     began = before = time.monotonic()

@@ -14,7 +14,7 @@ import omnistereo_lib as osl
 from omnistereo_tools import cli
 
 COMMANDS = yaml.safe_load(Path(bad_inputs.__file__).with_suffix(".yaml").read_text("utf-8"))
-SWAPPED = {"add": "--min-depth 0.01", "by": "two_pictures_swapped"}
+SWAPPED = {"add": "--min-depth 0.01 --phi -0.8 0.8", "by": "two_pictures_swapped"}
 ROWS = [
     pytest.param(command, row, id=f"{command.split()[0]}: {wrong}")
     for command, rows in COMMANDS.items()
@@ -83,6 +83,7 @@ def test_what_computes_but_can_mean_nothing_is_doubted(data, capsys):
     assert re.search(
         r"warning: the cameras are .* the spheres begin at 0.01 m, inside the rig", said
     )
+    assert "--phi -0.8 0.8 are degrees, a strip of 1.6°: no radians" in said
     assert re.search(r"warning: the images look swapped \(give them in the order 2 1 3 4\)", said)
 
 

@@ -27,6 +27,7 @@ PACKAGES = (
 )
 LAYERS = """
 errors lazy progress
+arrays
 files
 pictures
 geometry

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.lazy import lazy_property
 
@@ -75,7 +76,8 @@ class OcamCamera:
     def __post_init__(self) -> None:
         object.__setattr__(self, "poly", np.array(self.poly, np.float64))
         object.__setattr__(self, "inv_poly", np.array(self.inv_poly, np.float64))
-        object.__setattr__(self, "mask", None if self.mask is None else np.asarray(self.mask) != 0)
+        if self.mask is not None:
+            object.__setattr__(self, "mask", as_array(self.mask, "mask", None) != 0)
         self._check()
         for array in (self.poly, self.inv_poly, self.mask):
             if array is not None:
@@ -229,7 +231,7 @@ class OcamCamera:
             valid (bool, shape (...)): In the image, on the mask, in the field of view; the
             polynomial is monotonic.
         """
-        pixels, _ = _as_array(np.asarray(uv), 2)
+        pixels, _ = _as_array(as_array(uv, "uv"), 2)
         finite = np.isfinite(pixels).all(-1)
         u, v = np.moveaxis(np.where(finite[..., None], pixels, 0.0) - self.center, -1, 0)
         # Undo A, then go from the radius to the angle t by one of the two polynomials.
@@ -438,7 +440,7 @@ def _namespace(a: Array) -> ModuleType:
 
 def _as_array(a: Any, width: int) -> tuple[Array, ModuleType]:
     xp = _namespace(a)
-    a = np.asarray(a, np.float64) if xp is np else a
+    a = as_array(a, "the array") if xp is np else a
     if a.ndim < 1 or a.shape[-1] != width:
         raise OmnistereoError(f"the array has shape {tuple(a.shape)}; expected (..., {width})")
     return a, xp

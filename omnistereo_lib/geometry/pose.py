@@ -8,6 +8,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError
 
 Floats = NDArray[np.float64]
@@ -35,7 +36,7 @@ class Pose:
     t: Floats  #: translation (3,) in metres: the origin of frame b in frame a
 
     def __post_init__(self) -> None:
-        R, t = np.array(self.R, np.float64), np.array(self.t, np.float64)
+        R, t = as_array(self.R, "R").copy(), as_array(self.t, "t").copy()
         if R.shape != (3, 3) or t.shape != (3,):
             raise OmnistereoError(
                 f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)"
@@ -70,7 +71,7 @@ class Pose:
     @classmethod
     def from_vector(cls, theta: ArrayLike) -> Pose:
         """Return M(Θ), Θ = (r, t): axis-angle in radians, then metres (paper, Section III-A)."""
-        theta = np.asarray(theta, np.float64)
+        theta = as_array(theta, "the pose vector")
         if theta.shape != (6,):
             raise OmnistereoError(
                 f"the pose vector has shape {theta.shape}; expected 6 numbers (rx ry rz tx ty tz)"
@@ -94,7 +95,7 @@ class Pose:
         """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A), or take points (..., 3) to a."""
         if isinstance(other, Pose):
             return Pose(self.R @ other.R, self.R @ other.t + self.t)
-        points = np.asarray(other, np.float64)
+        points = as_array(other, "points")
         if points.shape[-1:] != (3,):
             raise OmnistereoError(f"the points have shape {points.shape}; expected (..., 3)")
         return points @ self.R.T + self.t

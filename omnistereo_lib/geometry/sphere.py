@@ -7,7 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number, shortened
+from omnistereo_lib.arrays import as_array
+from omnistereo_lib.errors import OmnistereoError, check_number
 
 Sampling = Literal["center", "sweepnet", "omnimvs"]
 
@@ -130,10 +131,7 @@ class SphereGrid:
         Raises:
             OmnistereoError: If points has another shape, or holds something else than numbers.
         """
-        try:
-            points = np.asarray(points, np.float64)
-        except (TypeError, ValueError):
-            raise OmnistereoError(f"points is {shortened(points)}; expected numbers") from None
+        points = as_array(points, "points")
         if points.shape[-1:] != (3,):
             raise OmnistereoError(f"points has shape {points.shape}; expected (..., 3)")
         theta = np.arctan2(points[..., 0], points[..., 2])
@@ -177,12 +175,13 @@ class SphereGrid:
     def index_to_inverse_depth(self, index: ArrayLike) -> NDArray[np.float64]:
         """Return the inverse depth in 1/m of a sphere index, integer or fractional; same shape."""
         low, high = self._inverse_range
-        return low + np.asarray(index, np.float64) * (high - low) / (self.num_spheres - 1)
+        return low + as_array(index, "index") * (high - low) / (self.num_spheres - 1)
 
     def inverse_depth_to_index(self, inverse_depth: ArrayLike) -> NDArray[np.float64]:
         """Return the fractional index n̂ of an inverse depth in 1/m; any, beyond the spheres."""
         low, high = self._inverse_range
-        return (np.asarray(inverse_depth, np.float64) - low) * (self.num_spheres - 1) / (high - low)
+        inverse_depth = as_array(inverse_depth, "inverse_depth")
+        return (inverse_depth - low) * (self.num_spheres - 1) / (high - low)
 
     def index_to_depth(self, index: ArrayLike) -> NDArray[np.float64]:
         """Return the depth in metres of a sphere index; may be infinite."""
@@ -192,4 +191,4 @@ class SphereGrid:
     def depth_to_index(self, depth: ArrayLike) -> NDArray[np.float64]:
         """Return the fractional index n̂ of a depth in metres, which may be infinite."""
         with np.errstate(divide="ignore"):
-            return self.inverse_depth_to_index(1.0 / np.asarray(depth, np.float64))
+            return self.inverse_depth_to_index(1.0 / as_array(depth, "depth"))

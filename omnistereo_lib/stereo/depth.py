@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from omnistereo_lib import reference
+from omnistereo_lib.arrays import as_array
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
@@ -112,7 +113,7 @@ class Depth:
 
     def __post_init__(self) -> None:
         for name in ("index", "confidence", "sigma", "bound", "second"):
-            given = np.asarray(getattr(self, name))
+            given = as_array(getattr(self, name), name, None)
             values = np.broadcast_to(given, np.shape(self.index)).view()
             values.setflags(write=False)
             object.__setattr__(self, name, values)

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.arrays import as_array
+from omnistereo_lib.errors import OmnistereoError, check_number
 
 _FRACTIONS = tuple(np.linspace(0, 0.95, 20))
 
@@ -13,7 +14,8 @@ def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArra
 
     The ground-truth index is not rounded; only training labels are.
     """
-    index, gt_index = np.asarray(index, np.float64), np.asarray(gt_index, np.float64)
+    index, gt_index = as_array(index, "index"), as_array(gt_index, "gt_index")
+    check_number(num_spheres, "num_spheres", 1, np.inf)
     if index.shape != gt_index.shape:
         raise OmnistereoError(
             f"the estimate has shape {index.shape}, the ground truth {gt_index.shape}; expected one"
@@ -44,11 +46,11 @@ def index_error(
     >>> metrics[">1"], metrics["MAE"]
     (50.0, 1.0)
     """
-    gt_index = np.asarray(gt_index, np.float64)
+    gt_index = as_array(gt_index, "gt_index")
     error = error_map(index, gt_index, num_spheres)
     # A ray without an estimate is wrong, or a method could leave out what is difficult.
     error = np.where(np.isnan(error), 100.0, error)
-    valid = np.ones(error.shape, bool) if valid is None else np.asarray(valid, bool)
+    valid = np.ones(error.shape, bool) if valid is None else as_array(valid, "valid") != 0
     if valid.shape != error.shape:
         raise OmnistereoError(
             f"valid has shape {valid.shape}; expected that of the panorama, {error.shape}"

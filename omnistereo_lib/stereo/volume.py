@@ -7,6 +7,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pairs, camera_pairs
@@ -85,10 +86,9 @@ def _check_network(cost: object) -> None:
 def as_volume(volume: ArrayLike | Tensor) -> Tensor:
     """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from any array."""
     if not isinstance(volume, Tensor):
-        volume = np.asarray(volume)
-        if volume.dtype.kind not in "fiub":
-            raise OmnistereoError(f"the cost volume holds {volume.dtype}; expected real numbers")
-        volume = torch.from_numpy(np.ascontiguousarray(volume, volume.dtype.newbyteorder("=")))
+        volume = torch.from_numpy(np.ascontiguousarray(as_array(volume, "the cost volume", None)))
+    if volume.layout != torch.strided or volume.is_quantized or volume.device.type == "meta":
+        raise OmnistereoError("the cost volume is sparse, quantised or meta; expected numbers")
     if volume.is_complex() or volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2:
         found = f"shape {tuple(volume.shape)} and type {volume.dtype}"
         raise OmnistereoError(f"the cost volume has {found}; expected (H, W, N) with N ≥ 2, real")

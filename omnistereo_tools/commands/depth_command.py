@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from omnistereo_lib.stereo.depth import Depth
 
 
+_RADIANS = 6.3  # elevations up to this may have been meant in radians
+
+
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameOptions):
     """What is written of one frame."""
@@ -90,6 +93,9 @@ def run(options: DepthOptions) -> int:
     say("reading the rig and the images: a few seconds")
     out = options.out or default_out("depth", options.rig)
     _check(options, out)
+    if options.phi is not None and max(map(abs, options.phi)) <= _RADIANS:
+        low, high = options.phi
+        warn_of([f"--phi {low:g} {high:g} are degrees, a strip of {high - low:.3g}°: no radians"])
     # Read what there is, before what is slow to import.
     frame = read_frame(options, options.frame)
     from omnistereo_lib.files import make_folder

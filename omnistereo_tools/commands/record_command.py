@@ -271,6 +271,7 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
     if options.video is not None:
         make_folder(options.video.parent)
     hold(writer.out)
+    writer.check_settings(rig)
     for number, picture in writer.changed().items():
         say(f"frame {number} is computed again: {picture} has changed")
     writer.prepare(rig)

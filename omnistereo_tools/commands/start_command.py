@@ -31,6 +31,9 @@ class StartOptions(LensOptions):
 
     folder: Path = option("with boards/ and scene/", MISSING, positional=True, metavar="FOLDER")
     board: str = option("inner corners, columns x rows, such as 12x10, or a YAML file", MISSING)
+    max_fov: float | None = option(
+        "full field of view", unset="as far as corners reach", metavar="DEGREES"
+    )
     square: float | None = option("edge of a square in metres, such as 0.06", needs="board")
 
 

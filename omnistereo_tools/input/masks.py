@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ _LEAST_SHARE = 0.3  # of the directions that show the edge of the circle inside 
 # of the radius, median distance of the edge from a circle; a dark floor is less round
 _ROUND = 0.015
 _OFF_CENTER = 0.2  # of the radius, from the principal point
+_DARK = 8  # gray value: an image, nearly all of which is darker, shows nothing
 _INSIDE_DEG = 3.0  # from the end of the stated field of view; less is blur
 _SHRINK = 0.99  # of the radius: the edge itself is blurred
 
@@ -53,6 +55,12 @@ def with_masks(rig: Rig, images: Sequence[Path]) -> Rig:
                 )
         cameras.append(camera)
     return replace(rig, cameras=tuple(cameras))
+
+
+def black_cameras(images: Sequence[NDArray[Any]]) -> str | None:
+    """Return in words which cameras of a frame show nothing, if any; every 16th pixel is read."""
+    found = [k for k, image in enumerate(images, 1) if np.quantile(image[::4, ::4], 0.99) < _DARK]
+    return f"camera {' and '.join(map(str, found))} shows black" if found else None
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,12 @@ from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.pictures import FILM, ColorScale, draw_frame
 from omnistereo_tools.output.summary import doubt_shares
+from omnistereo_tools.progress import say
 from omnistereo_tools.record.watching import Watching
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
@@ -165,6 +167,8 @@ class DepthWriter:
                 images = read.popleft().result()
                 if k + _PENDING < len(numbers):
                     read.append(reader.submit(next, images_of))
+                if told := black_cameras(images):
+                    say(f"frame {number}: {told}")
                 sweep = self.sweep if watching is None else watching.sweep_of(number, images)
                 depth = sweep_depth(sweep, images, self.method, precision=self.precision)
                 written.append(pool.submit(self.write, number, images, depth))
@@ -201,13 +205,27 @@ class DepthWriter:
             sizes["late_s"] = [late / 1e9 for late in self.recording.late]
         return sizes | {"min_depth": grid.min_depth, "depth": ".tiff", "provenance": made}
 
-    def prepare(self, rig: Rig) -> None:
-        """Make the folder `out` or continue what is in it.
+    def check_settings(self, rig: Rig) -> None:
+        """Raise an `OmnistereoError` if `out` holds a recording with other settings."""
+        settings, path = self.settings(rig), self.out / SETTINGS
+        stored = read_facts(path) if path.exists() else settings
+        if other := differences(stored, settings):
+            raise OmnistereoError(
+                f"{path} is of a recording with other settings: {'; '.join(other)}."
+                " Choose another --out, or the same rig, images and options as there."
+            )
+        for words in notes(stored, settings):
+            warnings.warn(
+                f"{words}: the last digits of the frames that follow may differ", stacklevel=2
+            )
 
-        Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be
-        written to.
+    def prepare(self, rig: Rig) -> None:
+        """Make the folder `out`, or continue the recording that is in it: see `check_settings`.
+
+        Raises an `OmnistereoError` if it cannot be written to.
         """
-        _check_settings(make_folder(self.out) / SETTINGS, self.settings(rig))
+        if not (make_folder(self.out) / SETTINGS).exists():
+            write_text(self.out / SETTINGS, json.dumps(self.settings(rig), indent=1) + "\n")
         cameras = [self.out / f"cam{k}" for k in range(1, len(rig) + 1)]
         for folder in (*cameras, *(self.path(kind, 0).parent for kind in OF_RAYS)):
             make_folder(folder)
@@ -286,23 +304,6 @@ def _first_other(old: object, new: list[str]) -> int:
     """Return the place of the first mark that differs; what is stored may be anything."""
     known = old if isinstance(old, list) and len(old) == len(new) else [None] * len(new)
     return next(k for k, (one, other) in enumerate(zip(known, new, strict=True)) if one != other)
-
-
-def _check_settings(path: Path, settings: dict[str, Any]) -> None:
-    """Write the settings of a new recording, or compare them with those that are there."""
-    if not path.exists():
-        write_text(path, json.dumps(settings, indent=1) + "\n")
-        return
-    stored = read_facts(path)
-    if other := differences(stored, settings):
-        raise OmnistereoError(
-            f"{path} is of a recording with other settings: {'; '.join(other)}. Choose another"
-            " --out, or the same rig, images and options as there."
-        )
-    for words in notes(stored, settings):
-        warnings.warn(
-            f"{words}: the last digits of the frames that follow may differ", stacklevel=2
-        )
 
 
 def stored_min_depth(out: Path) -> float | None:

@@ -39,7 +39,7 @@ from omnistereo_learn.provenance import (
     rig_checksum,
 )
 from omnistereo_lib.dataset import Dataset, load_dataset, read_poses, write_poses
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number, error_context
 from omnistereo_lib.files import checksum, make_folder, read_data, write_text
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.pose import Pose
@@ -49,6 +49,7 @@ from omnistereo_lib.pictures import check_image
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
@@ -60,7 +61,7 @@ from omnistereo_tools.world.refine import mix, moving_rays
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
 _JUMP, _BETWEEN = 2.5, 1.2  # of the median step; of a step, by way of another frame
 _LOOP = 4.0  # a way of more times the distance, and of more metres, comes back
-_BLACK = 8.0  # of 255: nearly all pixels are darker
+_ROUNDING = 1.001  # times the most that a recording stores
 _LOST = 3  # frames without a sure step, after which the path begins anew
 
 
@@ -85,21 +86,19 @@ class RecordedFrames:
                 f"{folder} has no {SETTINGS}; expected a recording. Make one: omnistereo record … "
                 f"--out {folder}"
             )
-        data, settings = load_dataset(folder), Section(read_data(folder / SETTINGS))
-        width, height, spheres = (
-            int(settings.number(name)) for name in ("width", "height", "spheres")
-        )
-        highest = 180.0 * height / width
-        grid = SphereGrid(width, height, (-highest, highest), spheres, settings.number("min_depth"))
+        data, grid = load_dataset(folder), _stored_grid(folder / SETTINGS)
         if empty := [str(frame.number) for frame in data if frame.gt_path is None]:
             say(f"without depth, and left out: {_some(empty)}. Run omnistereo record again")
-        done, channels = list[Frame](), 1
+        done, channels, shown = list[Frame](), 1, dict[str, int]()
         found = cls(folder, data, grid, {}, 1)
         for frame in data:
             if frame.gt_path is None:
                 continue
             try:
-                found.sums[frame.number], of_frame = found._check(frame)
+                pictures, of_frame = found._check_pictures(frame)
+                if (other := shown.setdefault(pictures, frame.number)) != frame.number:
+                    raise OmnistereoError(f"its pictures are those of frame {other}")
+                found.sums[frame.number] = f"{pictures}{found._check_depth(frame)}"
             except OmnistereoError as error:
                 say(f"frame {frame.number} is left out: {error}")
                 continue
@@ -112,29 +111,39 @@ class RecordedFrames:
             )
         return replace(found, data=Dataset(folder, data.rig, done), channels=channels)
 
-    def _check(self, frame: Frame) -> tuple[str, int]:
-        """Return a checksum of all that a frame holds, and the channels of its images.
+    def _check_pictures(self, frame: Frame) -> tuple[str, int]:
+        """Return a checksum of the pictures of a frame, and their channels.
 
-        Raises an `OmnistereoError` if a part is missing, torn, empty, or of another size.
+        Raises an `OmnistereoError` if one is missing, torn, or of another size.
         """
-        paths = [Path(frame.gt_path or ""), self.confidence_path(frame)]
-        paths += filter(Path.exists, [self._trust_path(frame)])
-        units = self.grid.min_depth, 1.0, 1.0
-        panoramas = [read_inverse_depth(*one) for one in zip(paths, units, strict=False)]
-        for path, panorama in zip(paths, panoramas, strict=True):
-            if panorama.shape != self.grid.shape:
-                (height, width), (rows, columns) = panorama.shape, self.grid.shape
-                raise OmnistereoError(
-                    f"{path} is {width} × {height}; expected {columns} × {rows}, as in {SETTINGS}"
-                )
-        if not (np.isfinite(panoramas[0]) & (panoramas[1] > 0)).any():
-            raise OmnistereoError(f"no ray of {paths[0]} has depth and confidence")
-        sums, channels = [rig_checksum(frame.rig), arrays_checksum(panoramas[:2])], 1
+        sums, channels = list[str](), 1
         for path, camera in zip(frame.image_paths, frame.rig.cameras, strict=True):
             content, picture = check_image(path, camera.image_size)
             sums.append(checksum(content))
             channels = max(channels, 1 if picture.mode in ("1", "L", "LA", "I;16", "I;16B") else 3)
         return checksum(" ".join(sums).encode())[:16], channels
+
+    def _check_depth(self, frame: Frame) -> str:
+        """Return a checksum of the panoramas of a frame and of its rig.
+
+        Raises an `OmnistereoError` if one is missing, torn, empty, of another size, or holds what
+        no recording does.
+        """
+        paths = Path(frame.gt_path or ""), self.confidence_path(frame), self._trust_path(frame)
+        most = _ROUNDING / self.grid.min_depth, _ROUNDING, _ROUNDING
+        panoramas = [read_inverse_depth(path, 1.0) for path in paths]
+        for path, panorama, highest in zip(paths, panoramas, most, strict=True):
+            if panorama.shape != self.grid.shape:
+                (height, width), (rows, columns) = panorama.shape, self.grid.shape
+                raise OmnistereoError(
+                    f"{path} is {width} × {height}; expected {columns} × {rows}, as in {SETTINGS}"
+                )
+            if (found := np.nanmax(panorama, initial=0)) > highest:
+                raise OmnistereoError(f"{path} holds {found:g}; expected at most {highest:.4g}")
+        if not (np.isfinite(panoramas[0]) & (panoramas[1] > 0)).any():
+            raise OmnistereoError(f"no ray of {paths[0]} has depth and confidence")
+        sums = f"{rig_checksum(frame.rig)} {arrays_checksum(panoramas[:2])}"
+        return checksum(sums.encode())[:16]
 
     @property
     def times(self) -> dict[int, int]:
@@ -150,13 +159,10 @@ class RecordedFrames:
         return self.folder / f"trust_{self.grid.width}" / Path(frame.gt_path or "").name
 
     def doubtful_percent(self, numbers: Iterable[int]) -> float:
-        """Return how many percent of the rays of some frames are doubtful; 0 where nothing says."""
-        shares = []
-        for number in numbers:
-            trust = self._trust_path(self.data.frame(number))
-            if trust.exists():
-                shares.append(float((read_inverse_depth(trust, 1.0) < DOUBTFUL).mean()))
-        return 100 * float(np.mean(shares or [0.0]))
+        """Return how many percent of the rays of some frames are doubtful."""
+        paths = (self._trust_path(self.data.frame(number)) for number in numbers)
+        shares = [np.mean(read_inverse_depth(path, 1.0) < DOUBTFUL) for path in paths]
+        return 100 * float(np.mean(shares))
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -265,8 +271,8 @@ class RecordedFrames:
 
         def look(frame: Frame) -> Sighting:
             if frame.number not in seen:
-                for k in _black_cameras(frame):
-                    say(f"camera {k} of frame {frame.number} is black")
+                if told := black_cameras(frame.images):
+                    say(f"frame {frame.number}: {told}")
                 seen[frame.number] = self._sighting(frame)
             return seen[frame.number]
 
@@ -365,9 +371,15 @@ class RecordedFrames:
                     (out / camera.name).symlink_to(Path("..") / camera.name)
 
 
-def _black_cameras(frame: Frame) -> list[int]:
-    """Return the numbers of the cameras, from 1, that show nothing."""
-    return [k for k, image in enumerate(frame.images, 1) if np.quantile(image, 0.99) < _BLACK]
+def _stored_grid(path: Path) -> SphereGrid:
+    """Return the panorama of a recording, whose settings are in a file."""
+    with error_context(path):
+        settings = Section(read_data(path))
+        width, height, spheres = (settings.number(name) for name in ("width", "height", "spheres"))
+        check_number(width, "width", 2, 1 << 20)
+        highest = 180.0 * height / width
+        grid = int(width), int(height), (-highest, highest), int(spheres)
+        return SphereGrid(*grid, settings.number("min_depth"))
 
 
 def _some(names: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 import _thread
 import re
+import shutil
 import socket
 import threading
 import time
@@ -238,6 +239,39 @@ def test_a_camera_may_be_a_device_or_a_stream_and_send_all_lenses(recorded, monk
         first = Cameras([source], recorded[0]).first
         assert [image[0, 0, 0] for image in first] == [0, 60, 120, 180]
     assert opened == ["rtsp://10.0.0.1/stream", "/dev/v4l/by-id/usb-front", 0]
+
+
+class Ending(Device):
+    """A camera whose cable is pulled after three pictures, or whose pictures are damaged then."""
+
+    left, grabs = 4, False
+
+    def grab(self):
+        self.left -= 1
+        return self.left > 0 or self.grabs
+
+    def retrieve(self):
+        return super().retrieve() if self.left > 0 else (False, None)
+
+
+@pytest.mark.parametrize("grabs", [False, True])
+def test_a_camera_that_gives_no_more_pictures_ends_the_view_by_its_name(
+    recorded, monkeypatch, grabs
+):
+    monkeypatch.setattr(live_view.cv2, "VideoCapture", Ending)
+    monkeypatch.setattr(Ending, "grabs", grabs)
+    rig = recorded[0]
+    with pytest.raises(osl.OmnistereoError, match=r"camera 0 gives no picture. Check its cable"):
+        list(live_pictures(Cameras([0], rig), SphereSweep(rig, GRID), "zncc"))
+
+
+def test_a_video_that_is_lost_while_it_plays_ends_the_view(recorded, tmp_path):
+    rig, _, videos = recorded
+    copies = [shutil.copy(video, tmp_path) for video in videos]
+    cameras = Cameras(copies, rig, loop=True)
+    (tmp_path / "1.mkv").unlink()
+    with pytest.raises(osl.OmnistereoError, match=r"1\.mkv"):
+        list(live_pictures(cameras, SphereSweep(rig, GRID), "zncc"))
 
 
 @pytest.mark.parametrize(

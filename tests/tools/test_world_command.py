@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -31,7 +30,7 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording") / "drive"
     rig = scene.rig(width=300, height=288).recentered()
     data = {"width": 160, "height": 40, "spheres": 32, "min_depth": 0.6}
-    for kind in ("depth_estimate_160", "confidence_160"):
+    for kind in ("depth_estimate_160", "confidence_160", "trust_160"):
         (folder / kind).mkdir(parents=True)
     (folder / "recording.json").write_text(json.dumps(data))
     (folder / "times.json").write_text(json.dumps({str(n): n * 10**8 for n in (1, 2, 3)}))
@@ -43,7 +42,8 @@ def recording(tmp_path_factory):
             write_image(folder / f"cam{k}" / f"{number:05}.png", picture)
         depth = scene.distance(np.array(place), GRID.rays())
         write_inverse_depth(folder / "depth_estimate_160" / f"{number:05}.tiff", 1 / depth)
-        write_inverse_depth(folder / "confidence_160" / f"{number:05}.tiff", np.ones(GRID.shape))
+        for kind in ("confidence_160", "trust_160"):
+            write_inverse_depth(folder / kind / f"{number:05}.tiff", np.ones(GRID.shape))
     return folder
 
 
@@ -246,23 +246,50 @@ def lines(capsys, *arguments):
 
 
 @pytest.mark.parametrize(
-    "value",
-    [np.nan, np.inf, -1.0, "no confidence", "another height", "torn", "torn trust"],
+    "kind, damage, why",
+    [
+        ("depth_estimate", np.nan, "has depth and confidence"),
+        ("depth_estimate", np.inf, "has depth and confidence"),
+        ("depth_estimate", -1.0, "has depth and confidence"),
+        ("depth_estimate", 1e30, "holds 1e.30; expected at most 1.668"),
+        ("depth_estimate", "lower", "is 160 × 20; expected 160 × 40"),
+        ("depth_estimate", "torn", "is not a complete"),
+        ("confidence", 0.0, "has depth and confidence"),
+        ("confidence", 1e30, "holds 1e.30; expected at most 1.001"),
+        ("trust", "torn", "is not a complete"),
+        ("trust", "missing", "cannot be read"),
+    ],
 )
-def test_a_frame_with_nothing_to_fuse_is_named_and_left_out(copy, capsys, value):
-    kind = "confidence_160" if value == "no confidence" else "depth_estimate_160"
-    path = copy / kind / "00003.tiff"
-    if value == "torn trust":
-        (copy / "trust_160").mkdir()
-        path = Path(shutil.copy(path, copy / "trust_160"))
-    if str(value).startswith("torn"):
+def test_a_frame_that_is_damaged_or_empty_is_named_and_left_out(copy, capsys, kind, damage, why):
+    path = copy / f"{kind}_160" / "00003.tiff"
+    if damage == "torn":
         path.write_bytes(path.read_bytes()[:-60] + bytes(40) + path.read_bytes()[-20:])
+    elif damage == "missing":
+        path.unlink()
     else:
-        shape = (20, 160) if value == "another height" else GRID.shape
-        write_inverse_depth(path, np.full(shape, 0.0 if isinstance(value, str) else value))
-    said = lines(capsys, copy, *COMMAND)
-    assert re.search("frame 3 is left out: .*/00003.tiff", said)
-    assert "2 of 2 frames" in said
+        shape = (20, 160) if damage == "lower" else GRID.shape
+        write_inverse_depth(path, np.full(shape, 0.1 if damage == "lower" else damage))
+    frames, said = RecordedFrames.open(copy), capsys.readouterr().err
+    # "depth_estimate" is named where confidence is missing, as either may be what is wrong.
+    assert re.search(f"frame 3 is left out: .*_160/00003.tiff {why}", said)
+    assert len(frames.data) == 2 and frames.doubtful_percent([1, 2]) == 0
+
+
+def test_a_frame_that_repeats_another_is_named_and_left_out(copy, capsys):
+    for k in (1, 2, 3, 4):
+        shutil.copy(copy / f"cam{k}" / "00001.png", copy / f"cam{k}" / "00003.png")
+    assert len(RecordedFrames.open(copy).data) == 2
+    assert "frame 3 is left out: its pictures are those of frame 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "width, said", [(0, "width is 0"), ("x", "width must be"), (10**9, "width is 1000000000")]
+)
+def test_damaged_settings_of_a_recording_are_named(copy, width, said):
+    settings = json.loads((copy / "recording.json").read_text()) | {"width": width}
+    (copy / "recording.json").write_text(json.dumps(settings))
+    with pytest.raises(osl.OmnistereoError, match=f"recording.json: {said}"):
+        RecordedFrames.open(copy)
 
 
 def test_a_world_in_which_nothing_is_near_is_refused(copy, capsys):
@@ -302,7 +329,7 @@ def test_a_world_of_other_depth_or_of_another_rig_is_made_again(recording, world
 @pytest.mark.slow
 def test_a_black_camera_is_named(copy, capsys):
     write_image(copy / "cam2" / "00002.png", np.zeros((288, 300)))
-    assert "camera 2 of frame 2 is black" in lines(capsys, copy, *COMMAND)
+    assert "frame 2: camera 2 shows black" in lines(capsys, copy, *COMMAND)
 
 
 def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):

@@ -88,6 +88,64 @@ def test_a_float_image_without_such_pixels_is_taken_as_it_is():
         assert taken is image
 
 
+MASKED = np.ma.masked_array(np.ones((3, 3)), mask=np.eye(3))
+LENS, POSE = RIG.cameras[0], osl.Pose.identity()
+ON_A_BOARD = np.ma.masked_array(IMAGES[0], mask=IMAGES[0] > 100)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: depth([ON_A_BOARD, *IMAGES[1:]]),
+        lambda: osl.cost_volume(SWEEP, [ON_A_BOARD, *IMAGES[1:]], osl.ZNCC()),
+        lambda: osl.winner_takes_all(np.ma.masked_array(VOLUME, mask=VOLUME > 0.5)),
+        lambda: osl.index_error(np.ones((3, 3)), MASKED, 16),
+        lambda: POSE @ MASKED,
+        lambda: LENS.project(MASKED),
+        lambda: GRID.depth_to_index(MASKED),
+        lambda: dataclasses.replace(LENS, mask=np.ma.masked_array(np.ones((56, 60)), mask=True)),
+    ],
+)
+def test_masked_values_are_refused(call):
+    """NumPy would compute with what is below the mask."""
+    with pytest.raises(osl.OmnistereoError, match=r"has masked values; expected none. Fill them"):
+        call()
+
+
+@pytest.mark.parametrize(
+    "numbers", ["far", [[1], [1, 2]], [None, 1], [1j], torch.ones(3).to_sparse()]
+)
+def test_what_is_no_array_of_real_numbers_is_one_error(numbers):
+    for call in (
+        lambda: POSE @ numbers,
+        lambda: osl.Pose(numbers, np.zeros(3)),
+        lambda: osl.Pose.from_vector(numbers),
+        lambda: GRID.project(numbers),
+        lambda: GRID.index_to_depth(numbers),
+        lambda: GRID.depth_to_index(numbers),
+        lambda: LENS.unproject(numbers),
+        lambda: osl.index_error(numbers, np.ones((3, 3)), 16),
+        lambda: osl.Depth(numbers, np.ones((3, 3)), SWEEP),
+    ):
+        with pytest.raises(osl.OmnistereoError, match="real numbers"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "volume",
+    [
+        torch.ones(4, 5, 6, device="meta"),
+        torch.ones(4, 5, 6).to_sparse(),
+        torch.quantize_per_tensor(torch.ones(4, 5, 6), 1.0, 0, torch.quint8),
+        [[1, 2], [3]],
+    ],
+)
+def test_a_volume_of_another_kind_is_one_error(volume):
+    for function in (osl.sgm, osl.winner_takes_all, osl.confidence):
+        with pytest.raises(osl.OmnistereoError, match=r"the cost volume is .*; expected"):
+            function(volume)
+
+
 @pytest.mark.parametrize("points", [[1.0, 2.0], np.zeros((3, 2)), 1.0, "far"])
 def test_points_of_another_shape(points):
     with pytest.raises(osl.OmnistereoError, match="points"):
@@ -103,7 +161,7 @@ def rig(pose=0.0, min_depth=None):
     [
         (lambda: osl.SphereGrid(96, 1_000_000_000), "height is 1000000000"),
         (lambda: osl.SphereSweep(RIG, GRID, device="mps"), "mps.*; expected .*cuda"),
-        (lambda: depth([None] * 4), "image 1 has shape"),
+        (lambda: depth([None] * 4), "image 1 holds object; expected real numbers"),
         (
             lambda: osl.cost_volume(SWEEP, IMAGES, Flat()),
             r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)",

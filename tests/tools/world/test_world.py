@@ -93,6 +93,21 @@ def test_frames_of_different_places_give_no_sure_step(sightings):
     ).sure
 
 
+@pytest.mark.slow
+def test_a_step_on_which_only_what_is_far_agrees_is_not_sure():
+    data, grid = (
+        osl.load_dataset("data_samples/drive/test"),
+        osl.SphereGrid(640, 160, min_depth=1.65),
+    )
+    rig = data.rig.recentered()
+    finder = SightingFinder(rig, grid)
+    first, near, far = (finder.find(data[k].images, data[k].inverse_depth) for k in (0, 6, 9))
+    step, beyond = rig_step(rig, first, near), rig_step(rig, first, far)
+    assert step.sure and step.T.t[2] == pytest.approx(8.4, abs=0.2)
+    # 12.7 m in truth
+    assert beyond.T.t[2] < 6 and beyond.inliers > 700 and not beyond.sure
+
+
 def test_depth_read_back_is_the_distance_to_the_surface(sphere):
     place = np.array([0.0, -0.2, 0.5])  # no frame was here
     inverse, color = sphere.march(osl.Pose(np.eye(3), place), GRID.rays(), REACH)
