@@ -195,9 +195,7 @@ def _check_connected(
     groups, label = connected_components(adjacent, directed=False)
     if groups == 1:
         return
-    cameras = [
-        " and ".join(str(i + 1) for i in np.flatnonzero(label == group)) for group in range(groups)
-    ]
+    cameras = [" and ".join(map(str, 1 + np.flatnonzero(label == k))) for k in range(groups)]
     # If not, some views that were rejected might have joined the pieces. They are worth a message.
     lost = []
     for k, views in enumerate(zip(*detected, strict=True)):
@@ -251,13 +249,11 @@ def _relative_pose(
         )
     # In capture k both cameras see one board, so T_j_i = T_j_board (T_i_board S)⁻¹ if the corners
     # of camera j are those of camera i in the symmetry S of the board.
+    symmetries = [board.symmetry_pose(symmetry) for symmetry in board.symmetries]
     proposals = {
-        (k, s): (
-            single[j].T_cam_board[k]
-            @ (single[i].T_cam_board[k] @ board.symmetry_pose(symmetry)).inverse()
-        )
+        (k, s): single[j].T_cam_board[k] @ (single[i].T_cam_board[k] @ S).inverse()
         for k in captures
-        for s, symmetry in enumerate(board.symmetries)
+        for s, S in enumerate(symmetries)
     }
     # Each proposal is tried on all captures: the angle by which it misses each, in the best
     # symmetry.
@@ -276,10 +272,8 @@ def _relative_pose(
             " relative poses. Check that the cameras were synchronised, no image is mirrored and"
             " file names match"
         )
-    chosen = [
-        (k, int(np.argmin(_direction_errors(proposals[best], i, j, k, single, board))))
-        for k in agree
-    ]
+    T = proposals[best]
+    chosen = [(k, int(np.argmin(_direction_errors(T, i, j, k, single, board)))) for k in agree]
     # The rotation nearest to all of them, and the median translation.
     poses = [proposals[key] for key in chosen]
     nearest = nearest_rotation(np.mean([pose.R for pose in poses], axis=0))
@@ -399,42 +393,34 @@ def _build_rig(
 ) -> tuple[Rig, RigReport]:
     cameras, joint = [], []
     for i, before in enumerate(single):
-        found = solution.camera_report(
-            i, captures, before.rejected, before.cv_error_px, f"camera {i + 1}"
-        )
+        name = f"camera {i + 1}"
+        found = solution.camera_report(i, captures, before.rejected, before.cv_error_px, name)
         camera, camera_report = found.build_camera(given[i].max_fov_deg if given else max_fov_deg)
         cameras.append(camera)
         joint.append(camera_report)
     params = solution.params
     counts = {pair: len(set(numbers) - set(rejected)) for pair, numbers in shared.items()}
-    report = RigReport(
-        tuple(joint),
-        single,
-        captures,
-        rejected,
-        counts,
-        params,
-        solution.covariance,
-        solution.sigma_px,
-    )
+    known = tuple(joint), single, captures, rejected, counts
+    report = RigReport(*known, params, solution.covariance, solution.sigma_px)
     T_rig_cam = [pose.inverse() for pose in params.T_cam_rig]
     if given:
         # The optimiser turns each camera about its axis so that A is symmetric (see `params`).
         # Given cameras stay as they are, so their poses are turned back.
         rolls = [Intrinsics.of_camera(camera)[1] for camera in given]
         cameras = list(given)
-        T_rig_cam = [
-            rolls[0].inverse() @ pose @ roll for pose, roll in zip(T_rig_cam, rolls, strict=True)
-        ]
+        first = rolls[0].inverse()
+        T_rig_cam = [first @ T @ roll for T, roll in zip(T_rig_cam, rolls, strict=True)]
     rig = Rig(cameras, T_rig_cam)
     return rig, replace(report, warnings=tuple(_rig_warnings(report)))
 
 
+def _median_px(report: CameraReport, views: Sequence[int]) -> float:
+    """Return the median error in some views of a camera."""
+    return float(np.median(np.concatenate([report.distances(view) for view in views])))
+
+
 def _rig_warnings(report: RigReport) -> Iterator[str]:
-    own = [
-        float(np.median(np.concatenate([r.distances(k) for k in r.views_used])))
-        for r in report.single_camera
-    ]
+    own = [_median_px(single, single.views_used) for single in report.single_camera]
     for i, error in enumerate(own):
         usual = float(np.median(own[:i] + own[i + 1 :]))
         if error >= _UNLIKE * usual:
@@ -451,14 +437,10 @@ def _rig_warnings(report: RigReport) -> Iterator[str]:
                 " two cameras more often, in different places"
             )
         # Only captures that two cameras see can show that the cameras moved against each other.
-        common = [
-            k for k in camera.views_used if sum(k in other.views_used for other in report.joint) > 1
-        ]
+        others = [one.views_used for one in report.joint if one is not camera]
+        common = [k for k in camera.views_used if any(k in views for views in others)]
         if common:
-            joint, usual = (
-                float(np.median(np.concatenate([r.distances(k) for k in common])))
-                for r in (camera, single)
-            )
+            joint, usual = _median_px(camera, common), _median_px(single, common)
             if joint > _BAD_CAPTURE * usual:
                 yield (
                     f"camera {i + 1} has a reprojection error of {joint:.2f} px in shared captures,"

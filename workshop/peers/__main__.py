@@ -6,8 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -146,7 +146,7 @@ def make_files(folder: Path) -> Path:
     from omnistereo_tools.output.frame import FrameResult, equirectangular_depth
     from omnistereo_tools.output.mesh_export import linear, make_mesh
     from omnistereo_tools.output.points import Limits
-    from omnistereo_tools.record.recordings import write_video
+    from omnistereo_tools.record.recordings import write_film
     from omnistereo_tools.world.page import write_surface
     from omnistereo_tools.world.surface import Surface
 
@@ -187,11 +187,8 @@ def make_files(folder: Path) -> Path:
     times = {n: 1_700_000_000_050_000_000 + n * 10**8 for n in path}
     write_text(folder / "trajectory_seconds.txt", trajectory_tum(path, times))
     shown = np.repeat(np.array([COLORS], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
-    recording: Any = SimpleNamespace(
-        recording=SimpleNamespace(frames=range(3), fps=10.0), picture=lambda number: shown
-    )
     for suffix in (".mp4", ".webm"):
-        write_video(folder / f"a{suffix}", recording)
+        write_film(folder / f"a{suffix}", [shown] * 3, Fraction(10))
     camera, second = rig.cameras[0], rig.T_rig_cam[1].inverse() @ rig.T_rig_cam[0]
     width, height = camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(float)
