@@ -369,7 +369,8 @@ DIALECTS = (
     _COLMAP,
     replace(
         _COLMAP, name="COLMAP model", first_is_rig=True,
-        what="a folder with `cameras.txt` and `images.txt`, and `rigs.txt` where there is one",
+        what="a folder with `cameras.txt` and `images.txt`, and `rigs.txt` where there is one; "
+             "binary where pycolmap is installed",
         recognises=lambda data: False, cameras=colmap.model_cameras,
     ),
     Dialect(
