@@ -50,23 +50,17 @@ class RigReading(NamedTuple):
     """A rig, and what was assumed in reading it."""
 
     rig: Rig
-    dialect: str  #: its name for people
-    unit: str  #: that the dialect states, "metres" or "centimetres"; "" where it states none
-    lenses: Sequence[Lens]  #: as the file states them; empty of our format
-    #: of each lens: the largest distance of the fitted camera from it
-    residuals_px: Sequence[float]
-    #: Seconds to add to the time stamps of each camera, so that equal sums are one moment
-    #: (`timeshift_cam_imu` of Kalibr: t_imu = t_cam + shift). None: the file states none.
-    clock_offsets_s: tuple[float, ...] | None = None
+    found: Found  #: as the file states it; without lenses if it is of our format
+    residuals_px: Sequence[float]  #: of each lens: the largest distance of the fitted camera
 
     @property
     def is_own(self) -> bool:
         """Whether the file is of our format: there is nothing to convert."""
-        return not self.lenses
+        return not self.found.lenses
 
     def limited(self) -> list[int]:
         """Return the cameras, from 1, that end where their program can have measured them."""
-        pairs = enumerate(zip(self.lenses, self.rig.cameras, strict=False), 1)
+        pairs = enumerate(zip(self.found.lenses, self.rig.cameras, strict=False), 1)
         return [i for i, (lens, camera) in pairs if camera.max_fov_deg == lens.measured_deg]
 
 
@@ -106,12 +100,12 @@ def read_rig(
     max_fov_deg: float | None = None,
     keep_frame: bool = False,
 ) -> RigReading:
-    """Read a rig as `read_any_rig` does, and what was assumed, as `clock_offsets_s`."""
+    """Read a rig as `read_any_rig` does, and what was assumed, as `Found.clock_offsets_s`."""
     path = as_path(path)
     check_options(unit, max_fov_deg)
     if (own := read_own(path, unit, max_fov_deg)) is not None:
         rig = _finished(own, path, unit, keep_frame)
-        return RigReading(rig, own.name, "metres" if own.in_metres else "", (), ())
+        return RigReading(rig, Found(own.name, unit="metres" if own.in_metres else ""), ())
     file, found = _read(path)
     with error_context(file):
         cameras, residuals = zip(*_fitted(found, max_fov_deg), strict=True)
@@ -119,9 +113,8 @@ def read_rig(
         poses = [Pose(pose.R, scale * pose.t) for pose in found.T_rig_cam]
         read = RigFile(cameras, poses, name=found.name, in_metres=found.unit != "")
     rig = _finished(read, file, unit, keep_frame)
-    offsets = found.clock_offsets_s
-    _warn_of_clocks(offsets, file)
-    return RigReading(rig, found.name, found.unit, found.lenses, residuals, offsets)
+    _warn_of_clocks(found.clock_offsets_s, file)
+    return RigReading(rig, found, residuals)
 
 
 def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:

@@ -89,10 +89,12 @@ class Found(NamedTuple):
     """What a reader finds: lenses, and poses in the unit of the file."""
 
     name: str  #: of the format
-    lenses: Sequence[Lens]
+    lenses: Sequence[Lens] = ()
     T_rig_cam: Sequence[Pose] = ()  #: camera → rig
     unit: str = ""  #: a key of `METRES`, or "" where the format states none
-    clock_offsets_s: tuple[float, ...] | None = None  #: see `RigReading`
+    #: Seconds to add to the time stamps of each camera, so that equal sums are one moment
+    #: (`timeshift_cam_imu` of Kalibr: t_imu = t_cam + shift). None: the file states none.
+    clock_offsets_s: tuple[float, ...] | None = None
 
 
 def in_order(names: Iterable[Any]) -> list[Any]:

@@ -187,10 +187,11 @@ def read_rig_and_clocks(
     from omnistereo_tools.progress import say
 
     if not read.is_own:
-        say(f"{file} ({read.dialect}) is converted; `omnistereo rig {file} rig.yaml` does it once.")
+        name = read.found.name
+        say(f"{file} ({name}) is converted; `omnistereo rig {file} rig.yaml` does it once.")
     if turned := turn_sentence(read.rig):
         say(turned)
-    return with_masks(read.rig, images), read.clock_offsets_s
+    return with_masks(read.rig, images), read.found.clock_offsets_s
 
 
 def read_frame(options: FrameOptions, number: int = 0) -> Frame:

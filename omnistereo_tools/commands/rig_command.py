@@ -85,8 +85,9 @@ def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
     from omnistereo_tools.output.summary import turn_sentence
 
     rig = read.rig
-    unit = f"{read.unit} by the format" if read.unit else f"{options.unit} (--unit)"
-    models = ", ".join(dict.fromkeys(lens.model for lens in read.lenses)) or "ocam"
+    found = read.found
+    unit = f"{found.unit} by the format" if found.unit else f"{options.unit} (--unit)"
+    models = ", ".join(dict.fromkeys(lens.model for lens in found.lenses)) or "ocam"
     sizes = ", ".join(
         dict.fromkeys(f"{w} × {h} px" for w, h in (camera.image_size for camera in rig.cameras))
     )
@@ -96,7 +97,7 @@ def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
         numbers = ", ".join(map(str, limited))
         field += f"; camera {numbers}: no more can have been measured, --max-fov goes on"
     return [
-        f"{options.source}: {read.dialect}; {unit}",
+        f"{options.source}: {found.name}; {unit}",
         f"lenses:  {models}, {sizes}, followed to {max(read.residuals_px, default=0):.2f} px at "
         "worst",
         f"field:   {field}",

@@ -291,9 +291,9 @@ def test_clocks_that_differ_are_said(tmp_path):
         data[f"cam{n}"]["timeshift_cam_imu"] = shift
     with pytest.warns(UserWarning, match=r"camera 3 differs by 67 ms"):
         found = read_rig(dump(tmp_path / "chain.yaml", data))
-    assert found.clock_offsets_s == (0.0012, 0.0011, 0.0678)
+    assert found.found.clock_offsets_s == (0.0012, 0.0011, 0.0678)
     del data["cam1"]["timeshift_cam_imu"]
-    assert read_rig(dump(tmp_path / "chain.yaml", data)).clock_offsets_s is None
+    assert read_rig(dump(tmp_path / "chain.yaml", data)).found.clock_offsets_s is None
 
 
 def sockets(*parents):
@@ -321,7 +321,7 @@ def test_depthai_leads_from_socket_to_socket(tmp_path):
     same(rig, [step @ step, step, Pose.identity()])
     follows(rig.cameras[0], kb4)
     with pytest.warns(UserWarning, match="zeros after"):
-        assert read_rig(tmp_path / "oak.json").unit == "centimetres"
+        assert read_rig(tmp_path / "oak.json").found.unit == "centimetres"
     metres = sockets(1, -1)
     metres["cameraData"][1][1]["extrinsics"]["lengthUnit"] = 0
     with pytest.raises(OmnistereoError, match="socket 0: lengthUnit is 0; expected 1, centimetres"):

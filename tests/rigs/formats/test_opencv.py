@@ -173,7 +173,7 @@ def opencv_file(path, **values):
 def test_file_storage_in_each_of_its_formats(tmp_path, suffix):
     path = opencv_file(tmp_path / f"fisheye{suffix}")
     found = read_rig(path, "cm", keep_frame=True)
-    assert found.dialect == "OpenCV, ROS" and not found.unit
+    assert found.found.name == "OpenCV, ROS" and not found.found.unit
     rig, point = found.rig, np.array([0.1, 0.2, 0.7])  # in the first camera, metres
     np.testing.assert_allclose(rig.T_rig_cam[1] @ (R2 @ point + T2 / 100), point, atol=1e-12)
     np.testing.assert_allclose(rig.T_rig_cam[0] @ point, point)
