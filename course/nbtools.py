@@ -1,5 +1,6 @@
 """Read, clean and write notebook files. Cleaned, they are the same whoever ran them."""
 
+import ast
 import copy
 import re
 from itertools import pairwise
@@ -66,6 +67,21 @@ def number(path: Path) -> str:
 def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
     """Return the code cells that are not empty."""
     return [cell for cell in nb.cells if cell.cell_type == "code" and cell.source.strip()]
+
+
+def drawing_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    """Return the cells that only draw: no check, and nothing that a later cell needs."""
+    cells = code_cells(nb)
+    trees = [ast.parse(cell.source) for cell in cells]
+    found, needed = [], set[str]()
+    for cell, tree in zip(reversed(cells), reversed(trees), strict=True):
+        names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+        bound = {node.id for node in names if isinstance(node.ctx, ast.Store)}
+        bound |= {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+        if "show(" in cell.source and "check_" not in cell.source and not bound & needed:
+            found.append(cell)
+        needed |= {node.id for node in names} - bound
+    return found[::-1]
 
 
 def setup_of(nb: nbformat.NotebookNode) -> str:

@@ -46,16 +46,18 @@ def start(options: list[str]) -> None:
             print(
                 f"{old} is now {new}: yours is kept, its checks run in the course of its day only"
             )
-    LabApp.launch_instance(
-        [*SETTINGS, *AS_ROOT, *options, str(WORKING / nbtools.notebooks()[0].name)]
-    )
+    # as the default page it stands in the address that is printed, too, with --no-browser
+    first = f"--LabApp.default_url=/lab/tree/{WORKING.name}/{nbtools.notebooks()[0].name}"
+    LabApp.launch_instance([*SETTINGS, *AS_ROOT, first, *options])
 
 
 def copy_of(path: Path) -> str:
     """Return a stored notebook as students get it: without the tests of its prose, which give
-    answers away.
+    answers away, and with the code folded that only draws.
     """
     nb = nbtools.read_notebook(path)
+    for cell in nbtools.drawing_cells(nb):
+        cell.metadata["jupyter"] = {"source_hidden": True}
     nb.cells = [cell for cell in nb.cells if "claims" not in cell.metadata.get("tags", ())]
     return nbtools.text_of(nb)
 

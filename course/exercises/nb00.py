@@ -97,3 +97,40 @@ check_stitched = Open(stitched, _panoramas, real=lambda: (beside.warped(),)).wit
     return np.nansum(warped, axis=0)
     # that is the sum: divide by the number of cameras that see the ray
 """)
+
+
+def view(panorama, phi_deg, yaw_deg, fov_deg, size):
+    """What a pinhole camera sees of a panorama (H, W, 3) with rows from phi_deg[0] to phi_deg[1]:
+    (size, size, 3), NaN above and below; it looks to the azimuth yaw_deg, level."""
+    H, W = panorama.shape[:2]
+    reach = np.tan(np.radians(fov_deg / 2))
+    across = reach * ((2 * np.arange(size) + 1) / size - 1)
+    x, y = np.meshgrid(across, across)  # of the ray (x, y, 1) of each pixel
+    theta = np.arctan2(x, 1) + np.radians(yaw_deg)
+    phi = np.degrees(np.arctan2(y, np.hypot(x, 1)))
+    # the pixel of the panorama in which each ray lies: columns go around, rows end
+    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
+    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int)
+    known = (row >= 0) & (row < H)
+    picture = np.full((size, size, 3), np.nan)
+    picture[known] = panorama[row[known], column[known]]
+    return picture
+
+
+def _a_window(rng: Rng, k: int) -> tuple:
+    H, W = 8 + k % 3, 24 + k
+    panorama = rng.uniform(0, 255, (H, W, 3))
+    low, high = float(rng.uniform(-60, -30)), float(rng.uniform(20, 50))
+    return panorama, (low, high), float(rng.uniform(-180, 180)), float(rng.uniform(60, 120)), 9 + k
+
+
+check_view = Open(view, _a_window, whole=("panorama",)).with_slips("""
+    fov_deg / 2 → fov_deg  # half the field of view lies on each side
+    np.arctan2(y, np.hypot(x, 1)) → np.arctan2(y, 1)
+    # the elevation is the angle above the horizontal part of the ray, √(x² + 1), not above z
+    .astype(int) % W → .astype(int).clip(0, W - 1)
+    # the panorama is a circle: columns modulo W
+    (row >= 0) & (row < H) → (row < H)  # a negative row counts from the end: it is above
+    (2 * np.arange(size) + 1) / size - 1 → 2 * np.arange(size) / (size - 1) - 1
+    # pixels have a width: the first one's centre is half a pixel inside
+""")

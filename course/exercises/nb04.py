@@ -149,3 +149,45 @@ check_winner = Open(winner, _a_volume, real=beside.costs).with_slips("""
     return np.fmin.reduce(costs, axis=-1)  # that is the lowest cost; return the sphere that has it
     axis=-1 → axis=0  # the wrong axis: the spheres are the last one
 """)
+
+
+def suspects(bad, texture_of, index, radius):
+    """Rows (4, 2): percent of all rays, and percent of them that are bad (H, W), of all rays, flat
+    windows, windows whose index varies, and the rest."""
+    # flat: a standard deviation below 2 gray levels; varies: by more than 4 spheres
+
+    def windows(image):  # (H, W, window): columns go around, beyond the rows nothing is known
+        wide = np.pad(image, ((0, 0), (radius, radius)), mode="wrap")
+        wide = np.pad(wide, ((radius, radius), (0, 0)), constant_values=np.nan)
+        side = 2 * radius + 1
+        around = np.lib.stride_tricks.sliding_window_view(wide, (side, side))
+        return around.reshape(*image.shape, side * side)
+
+    flat = np.nanstd(windows(texture_of), axis=-1) < 2
+    indices = windows(index)
+    varies = np.nanmax(indices, axis=-1) - np.nanmin(indices, axis=-1) > 4
+    groups = (np.ones_like(bad), flat, varies, ~flat & ~varies)
+    return np.array([[100 * group.mean(), 100 * bad[group].mean()] for group in groups])
+
+
+def _a_street(rng: Rng, k: int) -> tuple:
+    H, W, radius = 12, 20 + k, 1 + k % 2
+    texture_of = rng.normal(100, 8, (H, W))
+    texture_of[3:9, 2:9] = 100 + rng.normal(0, 0.5, (6, 7))  # a blank wall
+    index = 10 + rng.normal(0, 0.3, (H, W))
+    index[:, 12:15] += 9
+    bad = rng.uniform(0, 1, (H, W)) < np.where(index > 15, 0.8, 0.3)
+    return bad, texture_of, index, radius
+
+
+check_suspects = Open(suspects, _a_street, whole=("bad", "texture_of", "index")).with_slips("""
+    mode="wrap" → constant_values=np.nan
+    # the panorama is a circle: its first columns stand in the windows of its last ones
+    np.nanstd(windows(texture_of), axis=-1) < 2 → np.nanvar(windows(texture_of), axis=-1) < 2
+    # that is the variance: its root is compared with 2 gray levels
+    ~flat & ~varies → ~(flat & varies)
+    # the rest is neither flat nor varying
+    bad[group].mean() → (bad & group).mean()
+    # of the rays of the group, not of all
+    np.nanstd → np.std  # at the top and the bottom the window ends: leave NaN out
+""")

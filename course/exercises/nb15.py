@@ -95,42 +95,57 @@ check_pick = Open(pick, _some_methods).with_slips("""
 """)
 
 
-def quads(depth, limit):
-    """Corners (M, 4) of cells, row · W + column, from the upper left down and around; depth ratio
-    at most 1 + limit."""
-    H, W = depth.shape
+def triangles(points, limit):
+    """Corners (T, 3) of triangles between points (H, W, 3) of neighbouring rays, each as row · W +
+    column, from the upper left down and around; depth ratio at most 1 + limit."""
+    H, W = points.shape[:2]
     number = np.arange(H * W).reshape(H, W)
     right = np.roll(number, -1, axis=1)  # the last column's neighbour is the first
-    corners = np.stack([number[:-1], number[1:], right[1:], right[:-1]], axis=-1)
-    at_corners = depth.ravel()[corners]
-    return corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)]
+    cells = np.stack([number[:-1], number[1:], right[1:], right[:-1]], axis=-1).reshape(-1, 4)
+    # no cell across an edge in depth; NaN compares as False
+    flat = points.reshape(-1, 3)
+    depth = np.linalg.norm(flat, axis=-1)[cells]
+    cells = cells[depth.max(axis=-1) <= (1 + limit) * depth.min(axis=-1)]
+    # two triangles of each, on both sides of its shorter diagonal
+    down, up = (np.linalg.norm(flat[cells[:, k]] - flat[cells[:, k + 2]], axis=-1) for k in (0, 1))
+    turned = np.where((down <= up)[:, None], cells, np.roll(cells, -1, axis=1))
+    return np.concatenate([turned[:, :3], turned[:, [0, 2, 3]]])
 
 
-def _a_depth(rng: Rng, k: int) -> tuple:
-    depth = np.cumsum(rng.uniform(0.99, 1.03, (4, 7 + k % 3)) - 1, axis=1) + rng.uniform(2, 4)
+def _some_points(rng: Rng, k: int) -> tuple:
+    H, W = 4, 7 + k % 3
+    depth = np.cumsum(rng.uniform(0.99, 1.03, (H, W)) - 1, axis=1) + rng.uniform(2, 4)
     depth[1:3, 3:5] *= 0.5
     depth[:, 0] = depth[:, -1] * rng.choice([1, 1.5], 4)
     depth[0, 5] = np.nan
     depth[-1] *= 1.15
-    return depth, 0.12 + 0.05 * (k % 2)
+    theta, phi = 2 * np.pi * np.arange(W) / W, np.linspace(-0.5, 0.6, H)[:, None]
+    rays = np.stack(
+        np.broadcast_arrays(np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)),
+        axis=-1,
+    )
+    return depth[..., None] * rays, 0.12 + 0.05 * (k % 2)
 
 
-def _sorted_cells(cells):
-    """Sort rows of four corners, wherever each begins."""
-    rows = cells if cells.ndim == 2 and cells.shape[1] == 4 else None
-    return cells if rows is None else rows[np.lexsort(np.sort(np.abs(rows), axis=1).T)]
+def _in_order(found):
+    """Begin each triangle at its smallest number, which keeps its side, and sort all of them."""
+    if found.ndim != 2 or 3 not in found.shape:
+        return found
+    if found.shape[1] != 3:
+        return _in_order(found.T).T
+    first = np.abs(found).argmin(axis=1)[:, None]
+    rows = np.take_along_axis(found, (first + np.arange(3)) % 3, axis=1)
+    return rows[np.lexsort(np.abs(rows).T)]
 
 
-check_quads = Open(quads, _a_depth, order=_sorted_cells).with_slips("""
+check_triangles = Open(triangles, _some_points, order=_in_order).with_slips("""
     right = np.roll(number, -1, axis=1) → number, right = number[:, :-1], number[:, 1:]
     # around the seam the last column has a neighbour, the first
-    corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)]
-    → corners.reshape(-1, 4)
-    # cells across an edge in depth are no surface: compare the corners
-    <= (1 + limit) * at_corners.min(axis=-1) → - at_corners.min(axis=-1) <= limit
+    cells = cells[depth.max(axis=-1) <= (1 + limit) * depth.min(axis=-1)] →
+    # cells across an edge in depth are no surface: compare the depths of the corners
+    <= (1 + limit) * depth.min(axis=-1) → - depth.min(axis=-1) <= limit
     # a limit on the ratio of depths, not on their difference in metres
+    down <= up → down > up  # cut along the shorter diagonal
     number[:-1], number[1:], right[1:], right[:-1] → number[:-1], right[:-1], right[1:], number[1:]
     # anticlockwise, as seen from the rig: lower left comes after upper left
-    right[1:], right[:-1] → right[:-1], right[1:]
-    # around the cell, not crosswise: lower right after lower left
 """)

@@ -93,7 +93,7 @@ def page_to_open(server, folder, log):
     token."""
     deadline = time.monotonic() + PATIENCE_S
     while server.poll() is None and time.monotonic() < deadline:
-        for page in folder.glob("jpserver-file-to-run-*-open.html"):
+        for page in folder.glob("jpserver-*-open.html"):
             if "token=" in page.read_text(encoding="utf-8"):
                 return page.as_uri()
         time.sleep(0.1)
@@ -216,6 +216,16 @@ def folders(tmp_path, monkeypatch):
     for name in ("00_a", "01_b"):
         nbformat.write(nbformat.v4.new_notebook(), nbtools.NOTEBOOKS / f"{name}.ipynb")
     return nbtools.NOTEBOOKS, lab_module.WORKING
+
+
+def test_what_only_draws_is_folded_and_what_is_needed_later_is_not(folders):
+    path = folders[0] / "00_a.ipynb"
+    cells = ["a = nb00.check_f(f); show(a)", "fig = plot()\nshow(fig)", "b = 1; show(b)", "b + 1"]
+    nbformat.write(
+        nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells]), path
+    )
+    copied = nbformat.reads(lab_module.copy_of(path), as_version=4).cells
+    assert [bool(cell.metadata.get("jupyter")) for cell in copied] == [False, True, False, False]
 
 
 def test_a_copy_with_an_old_number_is_kept_and_named(folders, capsys):

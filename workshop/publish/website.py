@@ -118,6 +118,8 @@ def with_links(text: str) -> str:
 def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
     """Prepare a notebook: images for light and dark mode, stills in place of live figures."""
     live = 0
+    for cell in nbtools.drawing_cells(nb):
+        cell.metadata["tags"] = [*cell.metadata.get("tags", ()), "hide-input"]
     for cell in nb.cells:
         if cell.cell_type != "code":
             cell.source = cell.source.replace("](../book/", "](../")
