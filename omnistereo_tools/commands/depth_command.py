@@ -59,6 +59,7 @@ class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameO
     max_depth: float | None = option(
         "of points, metres", unset="the fourth sphere from infinity", between=(1e-6, 1e9)
     )
+    beside: Path | None = option("another run, to compare with on the page", metavar="FOLDER")
     mesh: Path | None = option(
         "write a mesh: .glb (textured, y up) or .ply", suffixes=(".glb", ".ply")
     )
@@ -104,6 +105,7 @@ def run(options: DepthOptions) -> int:
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
+    from omnistereo_tools.output.viewer import read_page
 
     coverage = Coverage.of(frame.rig)
     min_depth = find_min_depth(options.min_depth, frame)
@@ -119,10 +121,11 @@ def run(options: DepthOptions) -> int:
     if options.crops is not None:
         make_folder(options.crops)
     method = options.method or FRAME_METHOD
+    beside = None if options.beside is None else read_page(options.beside / "index.html")
     # Compute and write.
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth)
-    result = FrameResult(depth, limits, method, gt_index, options.up, doubt)
+    result = FrameResult(depth, limits, method, gt_index, options.up, doubt, beside)
     if replaced := result.replaces(out):
         say(replaced)
     written = result.write(out, progress_bar())

@@ -95,12 +95,14 @@ class FrameResult:
     gt_index: NDArray[Any] | None = None
     up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
     doubt: str | None = None  #: why the rig and the images cannot fit
+    beside: dict[str, Any] | None = None  #: another run, as `data_of` its page has it
 
     @property
     def title(self) -> str:
         """One line for the head of pictures and pages."""
         turned = ", rig turned level" if turn_sentence(self.depth.sweep.rig) else ""
-        return f"Depth from {len(self.depth.images)} cameras by {self.method}{turned}"
+        name = self.method if is_own(self.method) else Method.parse(self.method).label
+        return f"Depth from {len(self.depth.images)} cameras by {name}{turned}"
 
     @lazy_property
     def facts(self) -> dict[str, Any]:
@@ -232,8 +234,7 @@ class FrameResult:
         write_image(path, draw_overview(*what))
 
     def _write_page(self, path: Path) -> None:
-        files = [f"data/{name}" for name in ("points.ply", "inverse_depth.tiff", "depth_mm.png")]
-        more = {"trust": self.trust, "gt_index": self.gt_index, "files": files}
+        more = {"trust": self.trust, "gt_index": self.gt_index, "beside": self.beside}
         page = viewer_page(self.depth, self.panorama, self.limits, self.title, **more)
         write_text(path, page)
 

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.depth import Depth
@@ -48,6 +50,24 @@ def page_of(
     return page.replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
 
+def data_of(page: str) -> dict[str, Any]:
+    """Return what a page of the viewer shows: `page_of` reversed."""
+    return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+
+
+def read_page(path: Path) -> dict[str, Any]:
+    """Return `data_of` a file; an `OmnistereoError` says if it is no page of the viewer."""
+    try:
+        data = data_of(read_text(path))
+    except ValueError:
+        data = {}
+    if not {"steps", "perStep", "phi"} <= data.keys():
+        raise OmnistereoError(
+            f"{path} is not the page of a frame. Pass what omnistereo depth wrote"
+        )
+    return data
+
+
 def viewer_data(
     depth: Depth,
     panorama: NDArray[np.uint8],
@@ -56,7 +76,7 @@ def viewer_data(
     mode: str = "look",
     trust: NDArray[Any] | None = None,
     gt_index: NDArray[Any] | None = None,
-    files: Sequence[str] = (),
+    beside: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a
     ray, too.
@@ -70,7 +90,7 @@ def viewer_data(
             right so many times of ten. None: all are trusted, and there is no slider.
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and
             the error, too.
-        files: To download, by their paths from the page.
+        beside: What another page holds, see `data_of`: shown to the right of a divider.
     """
     grid = depth.grid
     step = int(np.ceil(np.sqrt(depth.index.size * (8 if gt_index is None else 10) / _RAY_BYTES)))
@@ -82,6 +102,9 @@ def viewer_data(
     optional: dict[str, Any] = {}
     if trust is not None:
         optional["trust"] = packed(_percent(trust[::step, ::step]))
+    if beside is not None:
+        shown = ("title", "width", "height", "phi", "perStep", "steps", "trust")
+        optional["beside"] = {name: beside[name] for name in shown if name in beside}
     if gt_index is not None:
         per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
         percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
@@ -91,7 +114,6 @@ def viewer_data(
     first, *_, last = grid.inverse_depths().tolist()
     return optional | {
         "title": title,
-        "files": list(files),
         "mode": mode,
         "width": inverse_depth.shape[1],
         "height": inverse_depth.shape[0],

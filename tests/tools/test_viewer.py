@@ -1,9 +1,11 @@
 """The viewer in a real browser, without any network: what it shows and says is the depth."""
 
 import base64
+import os
 import re
 from dataclasses import replace
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import ray
 from omnistereo_tools.output.mesh_export import is_connected
@@ -364,6 +367,87 @@ def test_at_an_edge_in_depth_both_surfaces_end_within_a_ray(depth, open_page, tm
     # no background shines through the rim
     assert set(np.unique(drawn[(drawn < 50) | (drawn > 230)])) == set()
     assert (np.abs(np.diff(drawn)) > 100).sum() <= 4
+
+
+@pytest.mark.parametrize("name", ["Mesh", "Points", "Depth"])
+def test_what_the_page_saves_is_read_by_others(depth, desktop, tmp_path, name):
+    trimesh = pytest.importorskip("trimesh")
+    desktop.evaluate("$('least').value = 4")  # what is trusted least stays out
+    with desktop.expect_download() as download:
+        desktop.click(f"#save{name}")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    if name == "Depth":
+        np.testing.assert_allclose(read_inverse_depth(path), depth.inverse_depth, rtol=1e-3)
+        return
+    found = trimesh.load(path, process=False)
+    pixels, _ = GRID.project(found.vertices)
+    column, row = pixels.round().astype(int).clip([0, 0], [160, 39]).T
+    inside = (row > 0) & (row < 39)  # the rims of the mesh are halfway to what is not there
+    assert not (np.abs(column - 110) < 9).any()  # doubtful
+    length = np.linalg.norm(found.vertices, axis=1)
+    np.testing.assert_allclose(
+        length[inside] * depth.inverse_depth[row, column % 160][inside], 1, rtol=0.01
+    )
+    colors = np.asarray(found.visual.vertex_colors if name == "Mesh" else found.colors)
+    np.testing.assert_allclose(
+        colors[inside, 0], ((pixels[inside, 0] + 0.5) % 160) / 160 * 255, atol=8
+    )
+    assert len(found.vertices) > (1000 if name == "Mesh" else 5000)
+    if name == "Mesh":
+        away = (found.face_normals * found.triangles_center).sum(-1) > 0
+        assert away.mean() < 0.01  # slivers
+
+
+def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp_path):
+    """The other run has another size and is nearer by a fifth."""
+    coarse = osl.SphereGrid(80, 20, num_spheres=64, min_depth=0.6)
+    index = scene.true_index(depth.sweep.rig, coarse) * 1.2
+    run = osl.Depth(
+        index.astype(np.float32),
+        np.ones(coarse.shape, np.float32),
+        SphereSweep(depth.sweep.rig, coarse),
+        depth.images,
+    )
+    file, panorama = tmp_path / "index.html", np.zeros((40, 160, 3), np.uint8)
+    file.write_text(viewer_page(run, panorama, LIMITS, "Depth from 4 cameras by another"))
+    page = shown(open_page(*SIZES["desktop"]), written)
+    page.set_input_files("#beside input", file)
+    page.wait_for_function("!$('sides').hidden")
+    assert page.inner_text("#sidesWords") == "Left of the line a <box>, right another"
+    in_mode(page, "flat")
+    k = 20 * 160 + 80
+    press(page, place_of(page, point_of(depth, 20, 80)))
+    told = re.search(r"the other run ([\d.]+) m", page.inner_text("#readout"))
+    assert float(told[1]) == pytest.approx(1 / page.evaluate(f"other.inverse[{k}]"), abs=0.01)
+    assert page.evaluate(f"other.inverse[{k}]") == pytest.approx(
+        1.2 * depth.inverse_depth[20, 80], rel=0.05
+    )
+    colors = np.frombuffer(base64.b64decode(data["colors"]), np.uint8).reshape(-1, 3)
+    for divide, inverse in ((1, f"inverse({k})"), (0, f"other.inverse[{k}]")):
+        page.evaluate(f"$('divide').value = {divide}; draw()")
+        at = 255 * (page.evaluate(inverse) - data["low"]) / (data["high"] - data["low"])
+        np.testing.assert_allclose(color_of(page, depth, 20, 80), colors[round(at)], atol=12)
+    page.focus("#divide")
+    page.keyboard.press("End")
+    assert page.evaluate("+$('divide').value") == 1
+    (tmp_path / "other.html").write_text("something else")
+    page.set_input_files("#beside input", tmp_path / "other.html")
+    page.wait_for_function("$('readout').textContent.includes('not the index.html')")
+    assert page.complaints == []
+
+
+@pytest.mark.skipif("AXE" not in os.environ, reason="axe-core is not there")
+def test_the_page_is_read_by_ear(pages):
+    for page in pages.values():
+        begun(page).evaluate(
+            "pick(3000); $('sides').hidden = false; $('sidesWords').textContent = 'a, b'"
+        )
+        page.evaluate(Path(os.environ["AXE"]).read_text())
+        found = page.evaluate(
+            "async () => (await axe.run()).violations.map(v => v.id + v.nodes[0].html)"
+        )
+        assert found == []
 
 
 @pytest.mark.parametrize("key", ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"])

@@ -100,7 +100,7 @@ def test_its_viewer_is_what_omnistereo_depth_writes():
     grid = osl.SphereGrid(
         640, 320, phi_deg=(-90, 90), num_spheres=192, min_depth=sample.rig.min_depth
     )
-    assert data["title"] == "Depth from 4 cameras by volumenet"
+    assert data["title"] == "Depth from 4 cameras by VolumeNet"
     exact = sample[0].gt_index(grid)
     estimate, truth = (
         grid.inverse_depth_to_index(inverse_depth(data, name)) for name in ("steps", "truth")

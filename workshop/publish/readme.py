@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import tempfile
 import warnings
 from dataclasses import replace
@@ -26,7 +25,7 @@ from omnistereo_tools.commands.options import SAMPLE
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.pictures import colorize_depth
 from omnistereo_tools.output.points import Limits
-from omnistereo_tools.output.viewer import page_of
+from omnistereo_tools.output.viewer import data_of, page_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,11 +61,6 @@ def update_pictures() -> None:
     else:  # the same depth on the page as it is now
         page = page_of(data_of(STREET.read_text(encoding="utf-8")))
     write_text(STREET, page)
-
-
-def data_of(page: str) -> dict[str, Any]:
-    """Return what a page of the viewer shows: `page_of` reversed."""
-    return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
 
 
 def renew(path: Path, picture: bytes) -> bool:

@@ -9,14 +9,14 @@ const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.ab
 // A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
 // NAMING writes the number of the ray in place of its colour; MIXED shows depth in the picture; THIN leaves out rays
 // that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS have one
-// colour each. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
+// colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
 const SHADE = `
 precision highp float;
 uniform sampler2D picture, colors, trusts;
-uniform highp sampler2D rays;  // of each ray: inverse depth in 1/m, the exact one; -1 is unknown
+uniform highp sampler2D rays;  // of each ray: inverse depth in 1/m, the exact one, another run's; -1 is unknown
 uniform vec2 size, range;      // columns and rows of the rays; inverse depths at the ends of the colours
 uniform vec3 paper;
-uniform float mixed, least, doubtful, perPercent, edge;
+uniform float mixed, least, doubtful, perPercent, edge, divide;
 
 // Of what a place shows: values of the near and of the far surface there, and how much of the near one. They come from
 // the four rays around the place. At an edge in depth a ray whose colour is that of the place counts more, so that rims
@@ -24,10 +24,10 @@ uniform float mixed, least, doubtful, perPercent, edge;
 vec3 surfaces(vec2 at, bool byExact, vec3 here) {
   vec2 corner = floor(at - 0.5), part = at - 0.5 - corner;
   vec2 columns = mod(corner.x + vec2(0, 1), size.x), rows = clamp(corner.y + vec2(0, 1), 0.0, size.y - 1.0);
-  vec2 a = texelFetch(rays, ivec2(columns.x, rows.x), 0).xy, b = texelFetch(rays, ivec2(columns.y, rows.x), 0).xy;
-  vec2 c = texelFetch(rays, ivec2(columns.x, rows.y), 0).xy, d = texelFetch(rays, ivec2(columns.y, rows.y), 0).xy;
+  vec4 a = texelFetch(rays, ivec2(columns.x, rows.x), 0), b = texelFetch(rays, ivec2(columns.y, rows.x), 0);
+  vec4 c = texelFetch(rays, ivec2(columns.x, rows.y), 0), d = texelFetch(rays, ivec2(columns.y, rows.y), 0);
   vec4 share = vec4(1.0 - part.x, part.x, 1.0 - part.x, part.x) * vec4(vec2(1.0 - part.y), vec2(part.y));
-  vec4 estimate = vec4(a.x, b.x, c.x, d.x), exact = vec4(a.y, b.y, c.y, d.y), inverse = byExact ? exact : estimate;
+  vec4 estimate = BESIDE ? vec4(a.z, b.z, c.z, d.z) : vec4(a.x, b.x, c.x, d.x), exact = vec4(a.y, b.y, c.y, d.y), inverse = byExact ? exact : estimate;
   vec4 value = LAYER == 2 ? mix(abs(estimate - exact), vec4(-1), lessThan(exact, vec4(0))) : inverse;
   float low = min(min(inverse.x, inverse.y), min(inverse.z, inverse.w));
   float high = max(max(inverse.x, inverse.y), max(inverse.z, inverse.w));
@@ -51,11 +51,13 @@ vec3 inColors(float value) {
 
 // The colour of a place, in rays, and how much of it is shown, given the picture there: doubtful parts fade.
 vec4 shade(vec2 at, vec3 seen, bool fades) {
-  float trust = texture(trusts, at / size).r, doubt = 1.0 - smoothstep(doubtful - 0.1, doubtful + 0.1, trust);
+  vec2 both = texture(trusts, at / size).rg;
+  float trust = BESIDE ? both.y : both.x, doubt = 1.0 - smoothstep(doubtful - 0.1, doubtful + 0.1, trust);
 #ifdef MIXED
   vec3 found = surfaces(at, LAYER == 1, seen);
   vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
-  seen = mix(seen, mix(depth, vec3(0.5), 0.65 * doubt), mixed);
+  // Half blended, the picture keeps most of its light: what is far is dark in the colours of depth.
+  seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(0.5), 0.65 * doubt) * mixed, 1.0);
 #endif
   if (fades) seen = mix(seen, paper, 0.4 * doubt);
 #ifdef THIN
@@ -133,6 +135,7 @@ const OUTSIDE = {
 #if defined(NAMING) && !defined(RIM)
       color = name(at);
 #elif defined(POINTS)
+      if (dot(gl_PointCoord - 0.5, gl_PointCoord - 0.5) > 0.25) discard;
       color = tint;
 #else
       vec4 shown = shade(at, texture(picture, at / size).rgb, true);
@@ -147,6 +150,9 @@ const OUTSIDE = {
 #else
 #if defined(RIM) || defined(THIN)
       if (shown.a < 0.02) discard;
+#endif
+#ifdef VEIL
+      shown = vec4(mix(paper, shown.rgb, 0.3), 1);
 #endif
       color = shown;
 #endif
@@ -169,7 +175,7 @@ function makeMesh(known) {
     vertices[FLOATS * i + 6] = clamp(Math.max(...steps, 0) / radiansPerRow, 1, WIDEST_POINT);
   }
   // Of each cell whether its corners are known, 1, and show one surface, 2.
-  const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows);
+  const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows), veil = [];
   for (let row = 0; row + 1 < rows; row++)
     for (let column = 0; column < D.width; column++) {
       const corners = cornersOf(row * across + column, 1, across);
@@ -179,6 +185,7 @@ function makeMesh(known) {
       if (cells[corners[0]] === 2) continue;
       // An edge in depth: both surfaces go on for a ray, one before the other.
       corners.forEach(i => { used[i] = 1; });
+      veil.push(...twoTriangles(corners));
       const near = four.map(depth => sameSurface(depth, high));
       const far = four.map((depth, i) => !near[i] && sameSurface(depth, low));
       fringes[0].push(...twoTriangles(extended(vertices, corners, far, 2)));
@@ -187,7 +194,7 @@ function makeMesh(known) {
   const blocks = blocksOf(cells, depths, across, rows), opaque = [];
   for (const [corner, side] of blocks) cornersOf(corner, side, across).forEach(i => { used[i] = 1; });
   for (const [corner, side] of blocks) opaque.push(...fan(outline(corner, side, across).filter(i => used[i])));
-  return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()) };
+  return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()), veil: Uint32Array.from(veil) };
 }
 
 const WIDEST_POINT = 3;  // gaps between rays
@@ -258,12 +265,12 @@ function makeRenderer(canvas, picture, mesh) {
   if (!gl) return null;
   const [surface, fifth] = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
   const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl), trustTexture(gl)];
-  let named = null;  // the view whose names are in the target
+  let named = null, paired = false;  // the view whose names are in the target; whether there is another run
 
   // Begin to draw with the program of a view that has the given parts.
   function use(view, settings, ...parts) {
     const side = view.mode === "look" || view.mode === "flat" ? INSIDE : OUTSIDE;
-    parts.push(`LAYER ${settings.layer}`);
+    parts.push(`LAYER ${settings.layer}`, `BESIDE ${paired && side === INSIDE ? "(gl_FragCoord.x > divide)" : "false"}`);
     if (settings.naming) parts.push("NAMING");
     else if (settings.mixed > 0) parts.push("MIXED");
     if (settings.least > 0) parts.push("THIN");
@@ -278,7 +285,7 @@ function makeRenderer(canvas, picture, mesh) {
       size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
       perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
       level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal) - SHARPER), axes: axesOf(view.turn),
-      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.6 : 1.6) * 2 * Math.PI / D.width, ...settings, ...view,
+      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.6 : 1.9) * 2 * Math.PI / D.width, ...settings, ...view,
     };
     for (const [name, value] of Object.entries(values)) used.set(name, value);
   }
@@ -302,6 +309,7 @@ function makeRenderer(canvas, picture, mesh) {
       gl.enable(gl.CULL_FACE);
       gl.frontFace(gl.CW);
       gl.drawElements(gl.TRIANGLES, mesh.opaque.length, gl.UNSIGNED_INT, 0);
+      if (!settings.naming) drawVeil(view, settings);
       use(view, settings, "RIM");
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
@@ -311,6 +319,14 @@ function makeRenderer(canvas, picture, mesh) {
     }
     gl.disable(gl.DEPTH_TEST);
     gl.bindVertexArray(null);
+  }
+
+  // What is hidden behind an edge in depth: faint, from the near surface to the far one.
+  function drawVeil(view, settings) {
+    use(view, settings, "VEIL");
+    gl.disable(gl.CULL_FACE);
+    gl.drawElements(gl.TRIANGLES, mesh.veil.length, gl.UNSIGNED_INT, 4 * (mesh.opaque.length + mesh.fringe.length));
+    gl.enable(gl.CULL_FACE);
   }
 
   // The numbers of the rays that the pixels of a rectangle show, -1 where there is none; from the top left.
@@ -328,11 +344,16 @@ function makeRenderer(canvas, picture, mesh) {
     });
   }
 
-  return { draw: (view, settings) => render(view, { ...settings, naming: false }), names };
+  function showOther(other) {
+    textures.splice(2, 2, rayTexture(gl, other.inverse), trustTexture(gl, other.trust));
+    paired = true;
+  }
+
+  return { draw: (view, settings) => render(view, { ...settings, naming: false }), names, showOther };
 }
 
 // The vertices with their triangles, and every fifth vertex: of rows with one column more, not one above the other.
-function upload(gl, { vertices, opaque, fringe }) {
+function upload(gl, { vertices, opaque, fringe, veil }) {
   const buffer = gl.createBuffer();
   gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
   gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
@@ -347,7 +368,7 @@ function upload(gl, { vertices, opaque, fringe }) {
   });
   gl.bindVertexArray(made[0]);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe]), gl.STATIC_DRAW);
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe, ...veil]), gl.STATIC_DRAW);
   gl.bindVertexArray(null);
   return made;
 }
@@ -376,16 +397,18 @@ function colorTexture(gl) {
   return made;
 }
 
-function rayTexture(gl) {
-  const made = texture(gl, gl.REPEAT, gl.NEAREST), values = new Float32Array(2 * steps.length).fill(-1);
-  [steps, truth].forEach((from, i) => from?.forEach((step, k) => { if (step) values[2 * k + i] = inverse(k, from); }));
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG32F, D.width, D.height, 0, gl.RG, gl.FLOAT, values);
+function rayTexture(gl, other) {
+  const made = texture(gl, gl.REPEAT, gl.NEAREST), values = new Float32Array(4 * steps.length).fill(-1);
+  [steps, truth].forEach((from, i) => from?.forEach((step, k) => { if (step) values[4 * k + i] = inverse(k, from); }));
+  other?.forEach((value, k) => { values[4 * k + 2] = value; });
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, D.width, D.height, 0, gl.RGBA, gl.FLOAT, values);
   return made;
 }
 
-function trustTexture(gl) {
-  const made = texture(gl, gl.REPEAT, gl.LINEAR);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, D.width, D.height, 0, gl.RED, gl.UNSIGNED_BYTE, trust.map(percent => 2.55 * percent));
+function trustTexture(gl, other) {
+  const made = texture(gl, gl.REPEAT, gl.LINEAR), values = new Uint8Array(2 * trust.length);
+  [trust, other].forEach((from, i) => from?.forEach((percent, k) => { values[2 * k + i] = 2.55 * percent; }));
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG8, D.width, D.height, 0, gl.RG, gl.UNSIGNED_BYTE, values);
   return made;
 }
 

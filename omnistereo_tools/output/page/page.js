@@ -37,6 +37,7 @@ function settings() {
   return {
     paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
     layer: ["estimate", "truth", "error"].indexOf($("layer").value), sparse: detail < 1,
+    divide: $("divide").value * canvas.width,
   };
 }
 
@@ -125,7 +126,8 @@ const svg = (name, values) => {
 function drawMarks() {
   const places = picks.map(k => placeOf(inverse(k) > 1e-6 ? pointOf(k) : directionOf(k).map(x => 1e6 * x)));
   const shapes = places.filter(Boolean).map(([cx, cy]) => svg("circle", { cx, cy, r: 8 }));
-  const [a, b] = places;
+  const [a, b] = places, x = $("divide").value * canvas.clientWidth;
+  if (other && !outside()) shapes.push(svg("line", { x1: x, y1: 0, x2: x, y2: canvas.clientHeight }));
   if (a && b) shapes.push(svg("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1] }));
   $("marks").replaceChildren(...shapes);
 }
@@ -149,7 +151,7 @@ function distanceWords() {
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
   $("readout").textContent = k < 0 ? (outside() ? "not seen by any camera" : "") : !steps[k] ? "no depth here"
-    : withBar(k) + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
+    : withBar(k) + (other ? `, the other run ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
 // --- Why a ray has its depth -----------------------------------------------------------------------------------------
@@ -328,6 +330,76 @@ canvas.addEventListener("keydown", e => {
   if (e.key === "Enter") pick(rayAt({ clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }));
 });
 
+// --- Files and other runs ---------------------------------------------------------------------------------------------
+
+function save(name, parts) {
+  const link = Object.assign(document.createElement("a"), { download: name, href: URL.createObjectURL(new Blob(parts)) });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+// The picture at a place in rays, for vertices.
+function colorReader(picture) {
+  const { data, width, height } = picture;
+  return (column, row) => {
+    const x = Math.floor(column / D.width * width) % width, y = clamp(Math.floor(row / D.height * height), 0, height - 1);
+    return [...data.subarray(4 * (y * width + x), 4 * (y * width + x) + 3)];
+  };
+}
+
+const within = k => steps[k] && inverse(k) * D.maxDepth >= 1 && trust[k] >= leastTrust();
+
+$("savePoints").onclick = async () => {
+  const color = colorReader(await pixelsOf(D.picture)), kept = [...steps.keys()].filter(within);
+  const places = kept.map(k => [pointOf(k), color(k % D.width + 0.5, Math.floor(k / D.width) + 0.5)]);
+  save("points.ply", plyOf(places, []));
+};
+$("saveMesh").onclick = async () => {
+  const color = colorReader(await pixelsOf(D.picture)), { vertices, opaque } = makeMesh(within), numbers = new Map(), places = [];
+  const faces = Uint32Array.from(opaque, i => {
+    if (!numbers.has(i)) {
+      const [column, row, x, y, z, inverseDepth] = vertices.subarray(FLOATS * i, FLOATS * (i + 1));
+      numbers.set(i, places.push([[x, y, z].map(value => value / inverseDepth), color(column, row)]) - 1);
+    }
+    return numbers.get(i);
+  }).reverse();  // they face the rig, as those of mesh_export.py
+  save("mesh.ply", plyOf(places, faces));
+};
+$("saveDepth").onclick = () => save("inverse_depth.tiff", tiffOf(Float32Array.from(steps, (_, k) => inverse(k)), D.width));
+
+// Another run of the same scene: at each ray of ours its nearest one.
+let other = null;
+async function showBeside(run) {
+  const [theirSteps, theirTrust] = await Promise.all([unpacked(run.steps, run.width, Uint16Array), run.trust && unpacked(run.trust, run.width, Uint8Array)]);
+  const at = Int32Array.from(steps, (_, k) => {
+    const [x, y, z] = directionOf(k), row = Math.floor((Math.atan2(y, Math.hypot(x, z)) - run.phi[0]) / (run.phi[1] - run.phi[0]) * run.height);
+    return row < 0 || row >= run.height ? -1 : row * run.width + Math.floor((Math.atan2(x, z) / (2 * Math.PI) + 0.5) * run.width) % run.width;
+  });
+  other = {
+    inverse: Float32Array.from(at, k => k < 0 || !theirSteps[k] ? -1 : (theirSteps[k] - 1) * run.perStep),
+    trust: Uint8Array.from(at, k => k < 0 ? 0 : theirTrust ? theirTrust[k] : 100),
+  };
+  renderer.showOther(other);
+  $("sides").hidden = false;
+  $("sidesWords").textContent = `Left of the line ${nameOf(D)}, right ${nameOf(run)}`;
+  $("mix").value = 100;
+  if (outside()) document.querySelector("input[value=look]").checked = true;
+  showWords();
+  draw();
+}
+const nameOf = run => run.title.replace(/^Depth from \d+ cameras by /, "");
+const otherWords = k => other.inverse[k] < 0 ? "has no depth" : metres(1 / other.inverse[k]);
+
+$("beside").querySelector("input").onchange = async event => {
+  try {
+    const page = new DOMParser().parseFromString(await event.target.files[0].text(), "text/html");
+    await showBeside(JSON.parse(page.getElementById("data").textContent));
+  } catch {
+    event.target.value = "";
+    $("readout").textContent = "That is not the index.html of another run.";
+  }
+};
+
 // --- The flight ------------------------------------------------------------------------------------------------------
 
 // Out of the rig, once around what it has seen, and back; t from 0 to 1.
@@ -405,6 +477,7 @@ function sweepOnce() {
   });
 }
 
+$("divide").oninput = draw;
 for (const name of ["mix", "least"]) $(name).oninput = () => { showWords(); draw(); };
 $("layer").onchange = () => {
   if (+$("mix").value === 0) $("mix").value = 100;
@@ -483,10 +556,6 @@ function showPictureOnly() {
 (async () => {
   $("title").textContent = D.title;
   $("hint").lastChild.textContent = `${PRESS} a place: why is it that far away?`;
-  for (const file of D.files ?? []) {
-    const link = Object.assign(document.createElement("a"), { href: file, textContent: file.replace(/^.*\//, ""), download: "" });
-    $("files").append(link, " ");
-  }
   $("layers").hidden = !D.truth;
   $("sure").hidden = !D.trust;
   $("least").max = ODDS.length - 1;
@@ -508,5 +577,5 @@ function showPictureOnly() {
   new ResizeObserver(placeLabels).observe($("scale"));
   new ResizeObserver(resize).observe(canvas);
   resize();
-  sweepOnce();
+  if (D.beside) await showBeside(D.beside); else sweepOnce();
 })();
