@@ -4,7 +4,9 @@ cameras.
 It is the oracle of the tests: nothing here is shared with the library but the cameras and the
 poses."""
 
+import cv2
 import numpy as np
+import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.frame import write_inverse_depth
@@ -125,3 +127,18 @@ def write_set(folder, still, grid, places, first=1):
         truth = grid.index_to_inverse_depth(true_index(moved, grid))
         write_inverse_depth(folder / f"omnidepth_gt_{grid.width}" / f"{number:05}.tiff", truth)
     return folder
+
+
+def refused(said):
+    """Expect the library's error, in words that a regular expression finds."""
+    return pytest.raises(osl.OmnistereoError, match=said)
+
+
+def write_video(path, pictures, rate=20, codec="FFV1"):
+    """Write gray or BGR pictures as a video, by default a lossless one."""
+    size = pictures[0].shape[1::-1]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), rate, size)
+    for picture in pictures:
+        colors = picture if picture.ndim == 3 else np.stack([picture] * 3, -1)
+        video.write(colors.astype(np.uint8))
+    video.release()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scene
 import yaml
+from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_tools import cli
@@ -92,14 +93,14 @@ def test_a_bomb_is_refused_with_five_seconds_and_a_gigabyte(bomb, data, limits):
     load, said, spoil = bad_inputs.BOMBS[bomb]
     spoil(data)
     limits(memory=1 << 30)
-    with pytest.raises(osl.OmnistereoError, match=said):
+    with refused(said):
         load(data)
 
 
 @pytest.mark.parametrize(("call", "said"), bad_inputs.CALLS, ids=lambda x: x if str(x) == x else "")
 def test_a_call_raises_our_error(call, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(osl.OmnistereoError, match=said):
+    with refused(said):
         call()
 
 

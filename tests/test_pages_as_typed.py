@@ -20,6 +20,7 @@ from urllib.request import urlopen
 
 import cv2
 import pytest
+import scene
 import yaml
 from printed_boards import APRIL_FILE, april_pictures
 from served_commands import Server
@@ -128,12 +129,7 @@ def files(tmp_path_factory):
             (folder / name).parent.mkdir(exist_ok=True)
             write_image(folder / name, image)
         write_image(folder / f"cam{k}.png", whole)
-        video = cv2.VideoWriter(
-            str(folder / f"{side}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 5, image.shape[1::-1]
-        )
-        for _ in range(2):
-            video.write(image)
-        video.release()
+        scene.write_video(folder / f"{side}.mp4", [image] * 2, 5, "mp4v")
     for name in ("rig.yaml", "lenses.yaml"):
         osl.save_rig(rig if name == "rig.yaml" else frame.rig, folder / name)
     export_rig(rig, folder)

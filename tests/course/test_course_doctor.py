@@ -5,7 +5,6 @@ crash.
 import hashlib
 import json
 import os
-import shutil
 import subprocess
 import sys
 import venv
@@ -73,12 +72,6 @@ def test_a_package_that_is_missing_or_another_version(healthy, capsys):
     ]
 
 
-def test_a_local_build_counts_as_its_version(healthy, monkeypatch):
-    (healthy / "environment.txt").write_text("torch==2.0.0\n")
-    monkeypatch.setattr(metadata, "version", lambda name: "2.0.0+cpu")
-    assert check_clone(short=True) is True
-
-
 @pytest.mark.parametrize("change", ["other", None], ids=["changed", "missing"])
 def test_data_that_is_not_what_was_released(healthy, capsys, change):
     file = healthy / "data_samples" / "a.txt"
@@ -129,12 +122,6 @@ def test_other_commands_without_packages_are_one_line_that_names_it(bare):
         done.stderr.startswith("error: No module named ")
         and "python -m course doctor" in done.stderr
     )
-
-
-@pytest.mark.skipif(shutil.which("make") is None, reason="no make on the PATH")
-def test_make_doctor_installs_nothing(bare):
-    done = run_bare(["make", "doctor", f"PYTHON={bare}", "BIN=no-such-folder"])
-    assert "installed for" in done.stdout and "Installing" not in done.stdout + done.stderr
 
 
 def test_the_short_form_is_quick_to_start():

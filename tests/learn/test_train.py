@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scene import refused
 from tiny import MCCNN, SWEEPNET, TINY
 
 import omnistereo_lib as osl
@@ -21,10 +22,6 @@ from omnistereo_learn.samples.spheres import SphereObjective, SphereSamples
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_tools import cli
 from workshop.results.ship import _hours, export_weights
-
-
-def refused(match):
-    return pytest.raises(osl.OmnistereoError, match=match)
 
 
 def rows_of(recipe, out, data, **options):

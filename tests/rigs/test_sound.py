@@ -6,8 +6,8 @@ import av
 import numpy as np
 import pytest
 import scene
+from scene import refused
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_rigs.images.moments import SECOND
 from omnistereo_rigs.images.sound import heard_late
 from omnistereo_rigs.images.videos import open_videos
@@ -67,5 +67,5 @@ def test_sync_takes_the_sound_where_the_images_show_nothing(tmp_path, capsys):
     np.testing.assert_allclose(np.array(late) / SECOND, [-s for s in begins], atol=5e-4)
     assert "their sound does\ncamera 2 is 3 frames early (300 ms)" in capsys.readouterr().err
     paths[1] = film(tmp_path / "silent.mkv", still, None)
-    with pytest.raises(OmnistereoError, match="or videos with the same sound"):
+    with refused("or videos with the same sound"):
         measure_late(paths, rig, [])

@@ -11,12 +11,10 @@ from functools import wraps
 from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 import pytest
 
 import omnistereo_lib
-from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
 from omnistereo_tools.progress import progress_bar
@@ -110,16 +108,6 @@ def test_without_a_compiler_depth_is_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("RANK", "x"), ("RANK", "1_0"), ("WORLD_SIZE", "9" * 5000)]
-)
-def test_a_number_of_the_environment_that_is_none(monkeypatch, capsys, tmp_path, name, value):
-    monkeypatch.setenv(name, value)
-    assert cli.main(["train", "sweepnet", "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.startswith(f"error: {name} in the environment is ")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
     "error",
     [
         MemoryError("Unable to allocate 9 GiB"),
@@ -144,20 +132,6 @@ def test_what_the_machine_has_too_little_of(monkeypatch, capsys, error):
         and said.count("\n") == 1
         and len(said) <= 501
     )
-
-
-def test_an_argument_of_thousands_of_digits(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["depth", "--frame", "9" * 6000])
-    assert len(capsys.readouterr().err.splitlines()[-1]) < 540
-
-
-def test_numba_without_a_folder_for_its_cache(monkeypatch):
-    def increment(x):
-        return x + 1
-
-    monkeypatch.setattr(numba.core.caching.CompileResultCacheImpl, "_locator_classes", [])
-    assert compiled(nogil=True)(increment)(1) == 2
 
 
 def test_a_defect_says_so_below_its_traceback(monkeypatch, capsys):

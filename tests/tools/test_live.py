@@ -45,12 +45,7 @@ def recorded(tmp_path_factory):
     rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=GRID.min_depth)
     osl.save_rig(rig, folder / "rig.yaml")
     for k, picture in enumerate(scene.images(rig, finest=0.25)):
-        video = cv2.VideoWriter(
-            str(folder / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (100, 96)
-        )
-        for _ in range(FRAMES):
-            video.write(np.stack([picture] * 3, -1).astype(np.uint8))
-        video.release()
+        scene.write_video(folder / f"{k}.mkv", [picture] * FRAMES)
     return rig, folder, [str(folder / f"{k}.mkv") for k in range(4)]
 
 
@@ -366,11 +361,7 @@ def test_a_black_rim_is_masked(tmp_path, capsys, viewer):
     ):
         v, u = np.indices(picture.shape)
         seen = np.hypot(u - camera.center[0], v - camera.center[1]) <= camera.max_radius * 160 / 220
-        video = cv2.VideoWriter(
-            str(tmp_path / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (200, 192)
-        )
-        video.write(np.stack([np.where(seen, picture, 0)] * 3, -1).astype(np.uint8))
-        video.release()
+        scene.write_video(tmp_path / f"{k}.mkv", [np.where(seen, picture, 0)])
     assert live(tmp_path, [str(tmp_path / f"{k}.mkv") for k in range(4)]) == 0
     assert "are black beyond 1" in capsys.readouterr().err
 

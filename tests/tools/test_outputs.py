@@ -5,8 +5,8 @@ import os
 from typing import get_type_hints
 
 import pytest
+from scene import refused
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
 from omnistereo_tools.outputs import READ, hold, let_go
 
@@ -113,7 +113,7 @@ def test_every_option_that_is_a_path_is_read_or_tried_here():
 @pytest.mark.skipif(os.name != "posix", reason="Windows has no locks of folders")
 def test_a_folder_that_another_run_holds_is_refused_until_it_lets_go(tmp_path):
     hold(tmp_path / "out")
-    with pytest.raises(OmnistereoError, match="another run is writing into"):
+    with refused("another run is writing into"):
         hold(tmp_path / "out")
     let_go()
     assert list(hold(tmp_path / "out").iterdir()) == []

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.metrics import reliability, sparsification
@@ -38,12 +39,9 @@ def test_errors_agree_with_the_definition_ray_by_ray(index, gt, valid):
 
 
 def test_maps_must_agree_in_shape():
-    with pytest.raises(osl.OmnistereoError, match=r"\(2, 3\).*\(3, 2\)"):
+    with refused(r"\(2, 3\).*\(3, 2\)"):
         osl.index_error(np.zeros((2, 3)), np.zeros((3, 2)), 10)
-    with pytest.raises(
-        osl.OmnistereoError,
-        match=r"valid has shape \(3,\); expected that of the panorama, \(2, 3\)",
-    ):
+    with refused(r"valid has shape \(3,\); expected that of the panorama, \(2, 3\)"):
         osl.index_error(np.zeros((2, 3)), np.zeros((2, 3)), 10, np.ones(3))
 
 
@@ -77,7 +75,7 @@ def test_the_reliability_diagram_shows_where_error_bars_are_wrong():
     assert within == pytest.approx((0.683 + 0.383) / 2, abs=0.01)  # 0.383 are within half a σ
     known = reliability([*error, np.nan], [*bar, 1.0])[2]
     assert known == within
-    with pytest.raises(osl.OmnistereoError, match="no ray"):
+    with refused("no ray"):
         reliability([np.nan], [1.0])
-    with pytest.raises(osl.OmnistereoError, match="2 errors and 1 error bars"):
+    with refused("2 errors and 1 error bars"):
         reliability([1.0, 2.0], [1.0])

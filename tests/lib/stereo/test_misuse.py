@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scene
 import torch
+from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_learn.recipes import SweepNetRecipe
@@ -68,7 +69,7 @@ def depth(images=IMAGES, **options):
     ids=["bfloat16", "sparse", "meta", "quantised", "words", "objects", "infinite in float32"],
 )
 def test_images_that_are_no_numbers_are_one_error(value):
-    with pytest.raises(osl.OmnistereoError, match=r"image 1 .*; expected "):
+    with refused(r"image 1 .*; expected "):
         depth([value, *IMAGES[1:]])
 
 
@@ -148,7 +149,7 @@ def test_a_volume_of_another_kind_is_one_error(volume):
 
 @pytest.mark.parametrize("points", [[1.0, 2.0], np.zeros((3, 2)), 1.0, "far"])
 def test_points_of_another_shape(points):
-    with pytest.raises(osl.OmnistereoError, match="points"):
+    with refused("points"):
         GRID.project(points)
 
 
@@ -202,7 +203,7 @@ def rig(pose=0.0, min_depth=None):
     ],
 )
 def test_wrong_arguments(call, message):
-    with pytest.raises(osl.OmnistereoError, match=message) as error:
+    with refused(message) as error:
         call()
     assert len(str(error.value)) < 400
 
@@ -237,28 +238,9 @@ BOARD = Checkerboard((4, 3), 0.06)
 )
 def test_wrong_types(name, call):
     for wrong in (None, 5, object()):
-        with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:
+        with refused(rf"^{name} is .*; expected ") as error:
             call(wrong)
         assert len(str(error.value)) < 200
-
-
-@pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("method", ["zncc+sgm", "mccnn", "sweepnet", "volumenet"])
-def test_torchs_default_type_changes_nothing(method):
-    expected = depth(method=method).index
-    torch.set_default_dtype(torch.float64)
-    try:
-        found = depth(method=method).index
-    finally:
-        torch.set_default_dtype(torch.float32)
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-
-
-@pytest.mark.usefixtures("small")
-def test_images_of_either_byte_order():
-    expected = depth(method="volumenet").index
-    swapped = [image.astype(">f4") for image in IMAGES]
-    np.testing.assert_array_equal(depth(swapped, method="volumenet").index, expected)
 
 
 def test_what_was_checked_does_not_change_afterwards():

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from scene import refused
 from torch.nn.functional import conv2d, conv_transpose2d, linear, pad
 
-import omnistereo_lib as osl
 from omnistereo_lib.stereo.learned import Features, LearnedCost, choose_precision
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.weights import _checksum, load_tensors, save_tensors
@@ -38,10 +38,6 @@ def images(cameras=4, B=2, H=12, W=96, seed=0):
         picture[k, :, :, (start + np.arange(width, W)) % W] = np.nan
     picture[rng.random(picture.shape) < 0.05] = np.nan
     return torch.from_numpy(picture), columns
-
-
-def refused(match):
-    return pytest.raises(osl.OmnistereoError, match=match)
 
 
 def dense(net, spherical, pairs, double=True):

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import scene
+from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -110,7 +111,7 @@ def test_a_rig_for_resized_images(exported, size, scale):
         rays, _ = new.unproject(other[both], use_direct_poly=True)
         true, _ = old.unproject(uv[both], use_direct_poly=True)
         np.testing.assert_allclose(rays, true, atol=1e-6)
-    with pytest.raises(osl.OmnistereoError, match="other ratios of their sides"):
+    with refused("other ratios of their sides"):
         resized(rig, (400, 400))
 
 
@@ -172,7 +173,7 @@ def test_a_command_converts_and_names_the_command_that_does_it_once(exported, ca
 
 def test_the_library_names_the_converter(exported):
     _, folder, _ = exported
-    with pytest.raises(osl.OmnistereoError, match=r"omnistereo rig .*kalibr.yaml.*read_any_rig"):
+    with refused(r"omnistereo rig .*kalibr.yaml.*read_any_rig"):
         osl.load_rig(folder / "kalibr.yaml")
 
 
