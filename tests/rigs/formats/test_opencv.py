@@ -264,7 +264,7 @@ def test_lists_of_different_lengths_are_refused(tmp_path):
     ],
 )
 def test_two_cameras_of_one_number_are_refused(tmp_path, data, message):
-    with pytest.raises(OmnistereoError, match=message):
+    with refused(message):
         read(tmp_path / "rig.json", data, "cm")
 
 
