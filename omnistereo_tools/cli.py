@@ -7,7 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import fields
 from difflib import get_close_matches
 from io import TextIOWrapper
@@ -111,7 +111,8 @@ def _stop(line: str, status: int) -> int:
     remove_empty_folders()
     if tqdm := sys.modules.get("tqdm"):
         for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
-            bar.close()
+            with suppress(AttributeError):  # Ctrl-C came before it was whole
+                bar.close()
     _say(line)
     return status
 

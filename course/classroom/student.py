@@ -177,7 +177,7 @@ if [ "$2" ]; then
     mkdir -p "$2" && mount --bind "$1" "$2" && mount --rbind "$1/tmp" /tmp || exit 125
 fi
 shift 2
-exec "$@"
+exec unshare --user --map-root-user --mount "$@"
 """
 
 

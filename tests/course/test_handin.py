@@ -264,7 +264,9 @@ def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_
     assert list((out / "temporary").iterdir()) == []
 
 
-FILES = """for name in ("/tmp/left_by_student", "/dev/shm/left_by_student"):
+FILES = """import os
+os.system("umount /tmp; umount /dev/shm")
+for name in ("/tmp/left_by_student", "/dev/shm/left_by_student"):
     with open(name, "wb") as file:
         file.write(bytes(3_000_000))"""
 MEMORY = """with open("/dev/shm/more_left_by_student", "wb") as file:

@@ -1,6 +1,7 @@
 """The command line on a bad day: Ctrl-C, a reader that leaves, a full disk, an ASCII terminal.
 Never a traceback."""
 
+import gc
 import io
 import os
 import re
@@ -13,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tqdm
 
 import omnistereo_lib
 from omnistereo_tools import cli
@@ -28,7 +30,7 @@ def stdout(monkeypatch):
     return lambda stream: monkeypatch.setattr(sys, "stdout", stream) or stream
 
 
-def stopped(options):
+def stopped(*_):
     """What a command does that gets Ctrl-C."""
     signal.raise_signal(signal.SIGINT)
 
@@ -59,6 +61,22 @@ def test_what_is_said_does_not_stand_behind_a_bar_nor_above_it(monkeypatch, caps
     monkeypatch.setattr(cli.doctor_command, "run", run)
     assert cli.main(["doctor"]) == 2
     assert re.search(r"sweep: +0%.*\r +\rerror: no room\n$", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("within", ["_get_free_pos", "status_printer"])
+def test_a_command_is_stopped_while_a_bar_is_made(monkeypatch, capsys, within):
+    """A bar that is not whole can be neither closed nor forgotten."""
+
+    @wraps(cli.doctor_command.run)
+    def run(options):
+        progress_bar()(0, 2, "sweep")
+
+    monkeypatch.setattr(tqdm.tqdm, within, stopped)
+    monkeypatch.setattr(cli.doctor_command, "run", run)
+    assert cli.main(["doctor"]) == 130
+    monkeypatch.undo()
+    gc.collect()
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 @pytest.mark.parametrize("arguments", [["doctor"], ["--help"]], ids=" ".join)
