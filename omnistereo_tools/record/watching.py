@@ -146,10 +146,13 @@ def _stored(path: Path, cameras: int) -> list[Look]:
     from omnistereo_rigs.images.watch import Look
 
     looks = []
-    with suppress(OmnistereoError, TypeError, ValueError):
+    with suppress(OmnistereoError, TypeError, ValueError, OverflowError):
         for frame, *arrays in read_data(path):
             differences, covariance = (np.array(values, float) for values in arrays)
-            if differences.shape == (cameras, 6) and covariance.shape == (6 * cameras,) * 2:
+            shapes = (cameras, 6), (6 * cameras, 6 * cameras)
+            finite = np.isfinite(differences).all() and np.isfinite(covariance).all()
+            spread = min(covariance.diagonal()) if covariance.ndim == 2 else 0
+            if (differences.shape, covariance.shape) == shapes and finite and spread > 0:
                 looks.append(Look(int(frame), differences, covariance))
     return looks
 

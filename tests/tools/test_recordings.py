@@ -26,7 +26,7 @@ from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import FILM, colorize_depth, panes
-from omnistereo_tools.record import recordings
+from omnistereo_tools.record import recordings, watching
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--grid", "96x24x16", "--method", "zncc"]
@@ -254,6 +254,18 @@ def test_the_rig_of_a_frame_stays_with_it(recorded, tmp_path):
     (out / "watch.json").unlink()
     (out / "depth_estimate_96" / "00006.tiff").unlink()
     assert run(*record_command(recorded, out)) == 0 and not (out / "poses" / "00006.json").exists()
+
+
+@pytest.mark.parametrize(
+    "frame, change, spread",
+    [(np.inf, 0, 1), ("x", 0, 1), (2, np.nan, 1), (2, 0, 0), (2, 0, np.inf), (2, 0, [1])],
+)
+def test_looks_that_cannot_be_are_left_out(tmp_path, frame, change, spread):
+    looks = [[1, np.zeros((4, 6)).tolist(), np.eye(24).tolist()]]
+    matrix = (np.where(np.eye(24) > 0, spread, 0) if np.ndim(spread) == 0 else np.ones(3)).tolist()
+    looks.append([frame, np.full((4, 6), change).tolist(), matrix])
+    (tmp_path / "watch.json").write_text(json.dumps(looks))
+    assert [look.frame for look in watching._stored(tmp_path / "watch.json", 4)] == [1]
 
 
 def test_the_precision_of_a_recording_is_kept(recorded, tmp_path, monkeypatch):
