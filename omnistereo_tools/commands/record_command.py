@@ -188,6 +188,7 @@ def _next(options: RecordOptions, out: Path, fitting: bool, is_late: bool) -> st
 
 def _check(options: RecordOptions, out: Path) -> None:
     """Refuse --images of one frame, and results that would replace what is read."""
+    from omnistereo_lib.parse import MAX_CAMERAS
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.record.recordings import OF_RAYS, SETTINGS
 
@@ -198,7 +199,7 @@ def _check(options: RecordOptions, out: Path) -> None:
         )
     filled = [
         out / "video",
-        *out.glob("cam[0-9]*"),
+        *(out / f"cam{k}" for k in range(1, MAX_CAMERAS + 1)),
         *(out / f"{kind}_{options.sizes[0]}" for kind in OF_RAYS),
     ]
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
