@@ -205,8 +205,9 @@ def _items(name: str, key: str) -> Callable[[dict[str, Any]], bool]:
     """Return whether a list, or one in `rig`, holds mappings one of which has the key."""
 
     def recognises(data: dict[str, Any]) -> bool:
-        values = _mapping(data.get("rig", data)).get(name)
-        return isinstance(values, list) and any(key in _mapping(value) for value in values)
+        lists = [each.get(name) for each in (data, _mapping(data.get("rig")))]
+        found = [item for each in lists if isinstance(each, list) for item in each]
+        return any(key in _mapping(item) for item in found)
 
     return recognises
 
