@@ -4,7 +4,7 @@ import ctypes
 import sys
 from contextlib import suppress
 
-_MMAP_MAX, _TRIM_THRESHOLD = -4, -1  # of mallopt(3)
+_MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
 
 
@@ -20,3 +20,4 @@ def keep_memory() -> None:
             libc = ctypes.CDLL(None)
             libc.mallopt(_MMAP_MAX, 0)
             libc.mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
+            libc.mallopt(_ARENA_MAX, 1)  # what one thread has freed, another one takes

@@ -64,10 +64,13 @@ def feature_coordinates(
         list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where unseen.
     """
     rays, inverse_depth = volume_cells(grid, size)
+    coordinates = [torch.empty(*size, 2, device=device) for _ in rig.cameras]
     # Some columns at a time: what projecting them takes is four times as large as the result.
-    strips = rays.to(device).split(_COLUMNS)
-    parts = [project_cells(rig, strip, inverse_depth.to(device)) for strip in strips]
-    return [torch.cat(of_camera) for of_camera in zip(*parts, strict=True)]
+    for columns in torch.arange(size[0]).split(_COLUMNS):
+        parts = project_cells(rig, rays[columns].to(device), inverse_depth.to(device))
+        for of_camera, part in zip(coordinates, parts, strict=True):
+            of_camera[columns] = part
+    return coordinates
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:

@@ -139,7 +139,7 @@ class Up(nn.ModuleList):
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
         """Return the finer level (B, C, W, H, N), given the coarser and that of the way down."""
         project, merge = self
-        return merge(double(project(x)) + level)
+        return merge(double(project(x)).add_(level))
 
 
 class VolumeNet(StoredNetwork):
@@ -185,12 +185,20 @@ class VolumeNet(StoredNetwork):
 
     def forward(self, volume: Tensor) -> Tensor:
         """Run the U-net on (B, 9, W, H, N), sizes in multiples of 8: logits (B, W, H, N)."""
+        return self.run_unet(self.prepare(volume))
+
+    def prepare(self, volume: Tensor) -> Tensor:
+        """Return the volume (B, 9, W, H, N) as a copy in the layout and precision of the U-net."""
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
         # leaves odd strides; at once in the precision of the products, in half the memory.
         kind = volume.device.type
         half = not self.training and torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if half else volume.dtype
-        levels = [self.stem(volume.to(dtype, copy=True, memory_format=torch.channels_last_3d))]
+        return volume.to(dtype, copy=True, memory_format=torch.channels_last_3d)
+
+    def run_unet(self, volume: Tensor) -> Tensor:
+        """Return the logits (B, W, H, N) of a volume from `prepare`."""
+        levels = [self.stem(volume)]
         # Down: every level is kept for the way up. Then up from the coarsest one.
         for down in self.down:
             levels.append(down(levels[-1]))
@@ -220,12 +228,15 @@ class VolumeNet(StoredNetwork):
         logits = []  # (1, w, h, n) each
         for size in sizes:
             correlation = self.correlation_at(sweep, frame, size, step)  # (9, w, h, n)
+            # The last channel is k / 4, so 0.5 for two cameras.
+            shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
             step("U-net")
             with autocast(self.precision, device):
-                logits.append(self(correlation[None]) / len(sizes))
+                prepared = self.prepare(correlation[None])
+                del correlation  # before the U-net, whose levels take the most memory
+                logits.append(self.run_unet(prepared) / len(sizes))
+                del prepared
         # Rays that fewer than two cameras see in every cell have no cost.
-        # The last channel is k / 4, so 0.5 for two cameras.
-        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
         # The mean logits at full size become probabilities, some columns at a time.
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
