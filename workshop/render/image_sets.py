@@ -26,8 +26,8 @@ from workshop.render.city.layout import plan_district
 SEED = 2019
 # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
 _STEPS = 65500
-# of neighbours (tag Predictor): half the file
-_DELTAS = {"compression": "tiff_adobe_deflate", "tiffinfo": {317: 2}}
+# Differences of neighbours, of floats byte by byte (tag Predictor), in one strip: half the file.
+_DELTAS = {"compression": "tiff_adobe_deflate", "tiffinfo": {317: 3}, "strip_size": 1 << 24}
 
 
 @dataclass(frozen=True)
