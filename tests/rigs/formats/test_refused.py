@@ -1,9 +1,11 @@
 """What is refused, in words that name the file, the camera and what to do."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rigs.formats.rig_file_samples import (
     DOUBLE_SPHERE,
     EXAMPLES,
@@ -74,21 +76,7 @@ KNOWN = r"unknown format, found the keys .*supported formats.*basalt JSON.*Kalib
 NUMPY = "cam1: {D: !!python/object/apply:numpy.core.multiarray._reconstruct {args: []}}\n"
 ENTITY = '<!DOCTYPE a [<!ENTITY b "bb">]><opencv_storage>&b;</opencv_storage>'
 # As other programs publish them: a lens, or a rig, whose keys could be taken for those of a format.
-EQUIDISTANT = {"type": "equidistant", "parameters": {"cols": 1, "rows": 4, "data": K4}}
-IDENTITY = {"cols": 4, "rows": 4, "data": np.eye(4).ravel().tolist()}
-OTHERS = {
-    "okvis": {"cameras": [{"T_SC": [1] * 16, "image_dimension": list(SIZE), "distortion_coefficients": K4, "distortion_type": "equidistant", "focal_length": [200, 200], "principal_point": [400, 380]}] * 2},
-    "maplab": {"label": "rig", "cameras": [{"camera": {"image_height": 760, "image_width": 800, "type": "pinhole", "intrinsics": {"cols": 1, "rows": 4, "data": [200, 200, 400, 380]}, "distortion": EQUIDISTANT}, "T_B_C": IDENTITY}] * 2},
-    "ORB-SLAM3": {"Camera.type": "KannalaBrandt8", "Camera1.fx": 190.9, "Camera1.fy": 190.9, "Camera1.cx": 254.9, "Camera1.cy": 256.8, "Camera1.k1": 3e-3, "Camera2.fx": 190.4, "Stereo.T_c1_c2": IDENTITY},
-    "SVO": {"cam_model": "Pinhole", "cam_width": 752, "cam_height": 480, "cam_fx": 315.5, "cam_fy": 315.5, "cam_cx": 376, "cam_cy": 240, "cam_d0": 0},
-    "mrcal": {"lensmodel": "LENSMODEL_OPENCV4", "intrinsics": [400, 400, 320, 240, -0.1, 0.01, 0, 0], "extrinsics": [0] * 6, "imagersize": [640, 480]},
-    "OpenSfM": {"v2 a fisheye": {"projection_type": "fisheye", "width": 4000, "height": 3000, "focal": 0.45, "k1": -0.01, "k2": 0.001}},
-    "OpenMVG": {"sfm_data_version": "0.3", "views": [], "intrinsics": [{"key": 0, "value": {"polymorphic_name": "fisheye", "ptr_wrapper": {"id": 1, "data": {"width": 640, "height": 480, "focal_length": 200, "principal_point": [320, 240], "fisheye": K4}}}}]},
-    "Meshroom": {"version": ["1"], "views": [], "intrinsics": [{"intrinsicId": "1", "width": "640", "height": "480", "type": "fisheye4", "focalLength": "3.2", "principalPoint": ["0", "0"], "distortionParams": ["0"] * 4}]},
-    "WoodScape": {"extrinsic": {"quaternion": [0.5, -0.5, 0.5, -0.5], "translation": [3.7, 0, 0.6]}, "intrinsic": {"aspect_ratio": 1, "cx_offset": 3.9, "cy_offset": -3, "height": 966, "width": 1280, "k1": 339.7, "k2": -31.9, "k3": 48.2, "k4": -7.2, "model": "radial_poly", "poly_order": 4}},
-    "RealSense": {"width": 848, "height": 800, "ppx": 424.5, "ppy": 399.7, "fx": 285.7, "fy": 285.7, "model": "distortion.kannala_brandt4", "coeffs": [*K4, 0]},
-    "multical": {"cameras": {f"cam{n}": {"model": "standard", "image_size": [640, 480], "K": K.tolist(), "dist": [-0.1, 0.01, 0, 0, 0]} for n in (1, 2)}, "camera_poses": {"cam2_to_cam1": {"R": np.eye(3).tolist(), "T": [-0.2, 0, 0]}}},
-}  # fmt: skip
+OTHERS = yaml.safe_load(Path(__file__).with_name("others.yaml").read_text("utf-8"))
 
 
 @pytest.mark.parametrize("data", OTHERS.values(), ids=OTHERS)
