@@ -46,8 +46,10 @@ _FEW = 15
 _SHOWS_ALL = 0.45
 # A pose or a focal length that is right fits at least so many times the others' share of matches.
 _AS_WELL = 0.5
-# A camera that shows something else fits at most so many times the share of the others' matches.
-_ALIEN = 0.3
+# A camera that shows something else fits at most so many times the share of the others' matches …
+_ALIEN = 0.4
+# … if that share is at least so large. Where the others hardly agree either, nobody is accused.
+_AGREE = 0.3
 # From here on, numbers for the measured poses. First, how probably a right camera is accused.
 _BY_CHANCE = 1e-4
 # By so many standard errors must the matches themselves prefer the measured rig.
@@ -258,7 +260,7 @@ def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
 
 
 def _odd(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
-    """Return which camera shows something else than the others, which agree; None if none does."""
+    """Return which camera shows something else than the others, if those agree; None if none."""
     if len(rig) < 3:
         return None
     # For each camera: the share of its matches that fit, and that of the matches without it. The
@@ -266,8 +268,14 @@ def _odd(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
     shares = [fitted_share(evidence, found.rig, [k]) for k in range(len(rig))]
     k = int(np.argmin([mine / max(others, 1e-9) for mine, others in shares]))
     mine, others = shares[k]
-    if mine > _ALIEN * others or evidence.counts(found.rig).sum() / 2 < _FEW * (len(rig) - 1):
+    few = evidence.counts(found.rig).sum() / 2 < _FEW * (len(rig) - 1)
+    if mine > _ALIEN * others or few:
         return None
+    if others < _AGREE:
+        return _open(
+            f"{100 * mine:.0f} % of the matches of image {k + 1} fit the rig, and only"
+            f" {100 * others:.0f} % of the others'. Give a frame with more texture"
+        )
     text = (
         f"image {k + 1} does not show what the others show: {100 * mine:.0f} % of its matches fit"
         f" the rig, {100 * others:.0f} % of the others'. Its camera is late or displaced, or the"

@@ -186,6 +186,7 @@ def judge(seed: int, number: int) -> dict[str, str]:
     innocent = cause not in case.causes and cause not in ("cannot tell", "nothing wrong")
     innocent |= case.cameras is not None and not set(cameras) <= set(case.cameras)
     chi2 = f"{chi2_of(measured, case.true):.2f}" if measured and case.true else ""
+    few = measured is not None and any("too few" in refusal for refusal in measured.refusals())
     return {
         "planted": planted,
         "scene": scene,
@@ -264,10 +265,12 @@ def table(rows: list[dict[str, str]], seed: int) -> str:
     ]
     spread = []
     for scene in SETS:
-        values = [float(row["chi2"]) for row in rows if row["scene"] == scene and row["chi2"]]
-        if values:
-            low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
-            spread.append(f"{scene} {middle:.1f} ({low:.1f} to {high:.1f})")
+        for few, name in (("0", scene), ("1", f"{scene} with too few points, as is said of it,")):
+            here = [row for row in rows if (row["scene"], row["few"]) == (scene, few)]
+            values = [float(row["chi2"]) for row in here if row["chi2"]]
+            if values:
+                low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
+                spread.append(f"{name} {middle:.1f} ({low:.1f} to {high:.1f})")
     lines[-1] += (
         " χ² of the measured poses by what their stated deviations let expect, in the median and "
         f"in four of five: {', '.join(spread)}."
