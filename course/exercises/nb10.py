@@ -1,5 +1,5 @@
-"""Notebook 10: a row of Table II, regions by depth, errors of all frames, a table by region, an
-interval, a verdict."""
+"""Notebook 10: a row of Table II, regions by depth, errors of all frames, a table by region, what
+error bars hold, an interval, a verdict."""
 
 import numpy as np
 
@@ -138,6 +138,47 @@ check_region_table = Open(region_table, _some_frames, whole=("indices", "truths"
     # the truth decides which region a ray is in, the same for every method
     table[:, 0] *= 100 / table[0, 0] → table[:, 0] *= 100 / truths.size
     # rays whose truth is unknown are in no region: the share is of those in the first row
+""")
+
+
+def held(error, sigma, bound, edges):
+    """Percent (bins, 2) of the errors that are within sigma and within the bound, of the rays with
+    a sigma from one of the edges (bins + 1,) to below the next.
+
+    error, sigma, bound: (H, W), 1/m; a ray with a NaN does not count. NaN where a bin has no ray.
+    """
+    known = np.isfinite(error + sigma + bound)
+    table = []
+    for k in range(len(edges) - 1):
+        low, high = edges[k : k + 2]
+        inside = known & (sigma >= low) & (sigma < high)
+        off = np.abs(error[inside])
+        if not inside.any():
+            table.append([np.nan, np.nan])
+            continue
+        table.append([100 * np.mean(off <= width[inside]) for width in (sigma, bound)])
+    return np.array(table)
+
+
+def _some_bars(rng: Rng, k: int) -> tuple:
+    edges = np.array([0, 0.25, 0.5, 1, 2, 4])[: 5 + k % 2]
+    sigma = np.exp(rng.uniform(-2, 1.5, (6, 12 + k % 5)))
+    bound = sigma * rng.uniform(1.2, 4, sigma.shape)
+    error = sigma * rng.normal(0, 1.2, sigma.shape)
+    sigma[(sigma > 0.5) & (sigma < 1)] = 0.5 if k % 3 else 1.5  # on an edge, or an empty bin
+    error[0, :4] = sigma[0, :4] * [1, -1, 1, -1]
+    error[1, :2] = sigma[2, :2] = bound[2, :2] = np.nan
+    return error, sigma, bound, edges
+
+
+check_held = Open(held, _some_bars, whole=("error", "sigma", "bound")).with_slips("""
+    np.abs(error[inside]) → error[inside]  # an error that is too far counts as one too near: np.abs
+    (sigma >= low) & (sigma < high) → (sigma > low) & (sigma <= high)
+    # a bar on an edge belongs to the bin above it
+    np.isfinite(error + sigma + bound) → True
+    # a ray without an estimate or a truth does not count: it is neither within nor beyond
+    off <= width[inside] → off < width[inside]  # an error of exactly the bar is within it
+    off <= width[inside] → off > width[inside]  # those are the errors beyond the bar
 """)
 
 

@@ -13,6 +13,7 @@ Examples:
 from __future__ import annotations
 
 import re
+import shlex
 import warnings
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -77,7 +78,8 @@ def run(options: RigFileOptions) -> None:
     print("doubts: ", "\n         ".join(found) or "none")
     # What our commands cannot read back, as it states no unit, is a file to open.
     states_unit = options.to in ("omnimvs", "kalibr")
-    print(f"omnistereo doctor --rig {options.out}" if states_unit else options.out)
+    doctor = shlex.join(["omnistereo", "doctor", "--rig", str(options.out)])
+    print(doctor if states_unit else options.out)
 
 
 def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:

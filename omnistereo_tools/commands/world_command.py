@@ -170,8 +170,8 @@ def _write(
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
     drift, holes = frames.drift(poses), frames.holes_percent(volume, poses)
     sentences = [
-        f"Of the rays {doubtful:.0f} % are doubtful, and count little.",
-        f"Of what is seen within {options.range:g} m, {holes:.0f} % has no surface.",
+        f"{doubtful:.0f} % of rays are doubtful, and count little.",
+        f"{holes:.0f} % of what is seen within {options.range:g} m has no surface.",
         f"The path is {length:.1f} m long; where it returns it is off by {drift:.2f} m."
         if drift is not None
         else f"The path is {length:.1f} m long; its drift is unknown, as it does not return.",

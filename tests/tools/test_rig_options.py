@@ -1,6 +1,7 @@
 """The commands on rigs whose frame, field of view or black rim is not what it should be."""
 
 import re
+import shlex
 
 import numpy as np
 import pytest
@@ -97,13 +98,17 @@ def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
 
 def test_a_converted_rig_keeps_its_frame_and_field_of_view(world, tmp_path, capsys):
     folder, rig = world
-    command = ["rig", str(folder / "rig.yaml"), str(tmp_path / "rig.yaml"), "--keep-frame"]
+    converted = tmp_path / "a rig.yaml"  # typed again, the next command has to hold together
+    command = ["rig", str(folder / "rig.yaml"), str(converted), "--keep-frame"]
     assert cli.main([*command, "--max-fov", "3.84"]) == 2
     said = capsys.readouterr().err
     assert re.search(r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", said)
     assert cli.main([*command, "--max-fov", "180"]) == 0
-    assert capsys.readouterr().out.startswith("Good: 4 cameras, ")
-    read = read_any_rig(tmp_path / "rig.yaml")
+    said = capsys.readouterr().out
+    assert said.startswith("Good: 4 cameras, ")
+    last = shlex.split(said.splitlines()[-1])
+    assert last == ["omnistereo", "doctor", "--rig", str(converted)]
+    read = read_any_rig(converted)
     assert {camera.max_fov_deg for camera in read.cameras} == {180}
     robot = rig.transformed(FLU).T_rig_cam[1]
     np.testing.assert_allclose(read.T_rig_cam[1].R, robot.R, atol=1e-9)

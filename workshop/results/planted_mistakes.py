@@ -186,7 +186,6 @@ def judge(seed: int, number: int) -> dict[str, str]:
     innocent = cause not in case.causes and cause not in ("cannot tell", "nothing wrong")
     innocent |= case.cameras is not None and not set(cameras) <= set(case.cameras)
     chi2 = f"{chi2_of(measured, case.true):.2f}" if measured and case.true else ""
-    few = measured is not None and any("too few" in refusal for refusal in measured.refusals())
     return {
         "planted": planted,
         "scene": scene,
@@ -265,8 +264,8 @@ def table(rows: list[dict[str, str]], seed: int) -> str:
     ]
     spread = []
     for scene in SETS:
-        for few, name in (("0", scene), ("1", f"{scene} with too few points, as is said of it,")):
-            here = [row for row in rows if (row["scene"], row["few"]) == (scene, few)]
+        for few, name in ((False, scene), (True, f"{scene} where too few points are told")):
+            here = [r for r in rows if r["scene"] == scene and ("too few" in r["text"]) == few]
             values = [float(row["chi2"]) for row in here if row["chi2"]]
             if values:
                 low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
