@@ -19,9 +19,9 @@ from omnistereo_tools.output.render import around, draw_surfaces
 
 _WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
 _LEFT, _RIGHT = 1040, 580  # px, of pictures in the two columns
-_TEXT, _NAME, _TITLE = 20, 22, 34  # px, of letters
+_TEXT, _NAME, _TITLE = 22, 24, 38  # px, of letters
 _DEGREES = 70  # px, of degrees beside a panorama
-_LETTERS = 56  # of a line of a note
+_LETTERS = 50  # of a line of a note
 _AWAY, _FROM = 4.5, (0.35, 0.4)  # of the eye: nearest depths from the rig; turn, tilt, radians
 
 
