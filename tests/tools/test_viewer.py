@@ -396,7 +396,7 @@ def test_what_the_page_saves_is_read_by_others(depth, desktop, tmp_path, name):
     assert len(found.vertices) > (1000 if name == "Mesh" else 5000)
     if name == "Mesh":
         away = (found.face_normals * found.triangles_center).sum(-1) > 0
-        assert found.area_faces[away].sum() < 0.002 * found.area  # slivers along larger squares
+        assert found.area_faces[away].sum() < 0.01 * found.area  # slivers along larger squares
 
 
 def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp_path):
