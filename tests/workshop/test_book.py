@@ -25,7 +25,7 @@ import omnistereo_lib as osl
 import omnistereo_rigs
 from course import nbtools
 from course.figures import stills
-from workshop.publish import slides
+from workshop.publish import slides, website
 
 pytestmark = pytest.mark.slow  # Sphinx takes a minute
 
@@ -103,6 +103,38 @@ def test_every_picture_says_what_it_shows(pages):
         for name, has in pictures
         if len(has.get("alt", "")) < 20 or "_images" in has["alt"]
     ] == []
+
+
+def test_the_front_page_has_the_viewer_and_a_figure_of_each_notebook(built):
+    front = (built[0] / "index.html").read_text(encoding="utf-8")
+    assert front.index("<h1>omnistereo") < front.index('<iframe class="view" src="street.html"')
+    cards = front.split('<div class="card">')[1:]
+    assert len(cards) == len(nbtools.notebooks())
+    for card, path in zip(cards, nbtools.notebooks(), strict=True):
+        assert f'href="notebooks/{path.stem}.html"' in card and "<img" in card
+
+
+@pytest.mark.parametrize(
+    ("origin", "found"),
+    [
+        ("https://github.com/ann/street.git", "https://github.com/ann/street.git"),
+        ("https://ann:secret@github.com/ann/street", "https://github.com/ann/street"),
+        ("/home/ann/street", None),
+        ("", None),
+    ],
+)
+def test_the_address_of_the_clone_is_that_of_the_repository(monkeypatch, tmp_path, origin, found):
+    said = subprocess.CompletedProcess([], 0, stdout=f"{origin}\n")
+    monkeypatch.setattr(website.subprocess, "run", lambda *_, **__: said)
+    assert website.repository_address() == found
+    readme = website.README.read_text(encoding="utf-8")
+    page = website.front_page(readme, tmp_path, found)
+    assert (f"git clone --depth 1 {found or 'ADDRESS'}" in page) and page.count(
+        "https://colab"
+    ) == (0 if found is None else len(nbtools.notebooks()))
+    if found:
+        assert "/github/ann/street/blob/main/notebooks/00_quickstart.ipynb" in page
+        assert "mybinder.org/v2/gh/ann/street/main?labpath=notebooks%2F00_quickstart.ipynb" in page
 
 
 def test_no_picture_of_a_notebook_is_lost(built, pages):

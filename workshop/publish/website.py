@@ -8,16 +8,20 @@ an error.
 import base64
 import re
 import shutil
+import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from urllib.parse import quote, urlsplit
 
 import nbformat
+import yaml
 from nbformat.v4 import new_output
 from sphinx.cmd.build import build_main
 
 from course import nbtools
 from course.figures import stills
 from course.figures.dark_mode import LEAST, picture
+from omnistereo_lib.errors import OmnistereoError
 from workshop.publish.pages import BOOK, README, stages
 from workshop.publish.readme import STREET
 
@@ -30,6 +34,27 @@ REDIRECT = (
     '<meta http-equiv="refresh" content="0; url={0}.html">\n'
     '<p>This notebook is now <a href="{0}.html">{0}</a>.</p>\n</html>\n'
 )
+# The figure of each notebook on the first page, by its name in captions.yaml.
+BEST = {
+    "00": "street and depth",
+    "01": "flat views",
+    "02": "pair of pictures",
+    "03": "focus",
+    "04": "raw depth",
+    "05": "before and after",
+    "06": "points",
+    "07": "patches",
+    "08": "snapshots",
+    "09": "errors",
+    "10": "regions",
+    "11": "point cloud",
+    "12": "matches",
+    "13": "own pictures",
+    "14": "witnesses",
+    "15": "lights",
+    "16": "worlds",
+    "17": "mesh",
+}
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
@@ -72,11 +97,8 @@ def assemble(source: Path, extra: Path) -> None:
         # they fit.
         least = 0.0 if page == README else LEAST
         text = with_pictures(with_links(page.read_text(encoding="utf-8")), source, extra, least)
-        text = re.sub(
-            "(?s)<!-- notebooks -->(.*)<!-- /notebooks -->",
-            r'<div class="stacked">\n\1\n</div>',
-            text,
-        )
+        if page == README:
+            text = front_page(text, extra, repository_address())
         (source / page.name).write_text(text, encoding="utf-8")
     front = (source / "README.md").rename(source / "index.md")
     with front.open("a", encoding="utf-8") as file:
@@ -91,6 +113,69 @@ def assemble(source: Path, extra: Path) -> None:
         )
         text = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
         (source / "reference" / f"{stage}.md").write_text(text, encoding="utf-8")
+
+
+def front_page(text: str, extra: Path, address: str | None) -> str:
+    """Return the README as the first page: the viewer below its picture, a figure for each notebook
+    in place of the table, the address of the repository where it is known.
+    """
+    viewer = '<iframe class="view" src="street.html" title="The street" loading="lazy"></iframe>'
+    text = text.replace("\n## Start", f"\n{viewer}\n\n## Start", 1)
+    shown = f'<div class="cards">\n{cards(extra, address)}\n</div>\n'
+    text = re.sub("(?s)<!-- notebooks -->.*<!-- /notebooks -->", lambda _: shown, text)
+    return text.replace("ADDRESS", address) if address else text
+
+
+def cards(extra: Path, address: str | None) -> str:
+    """Return a figure of each notebook with what one learns in it, and where it opens elsewhere."""
+    found = []
+    for path in nbtools.notebooks():
+        nb = nbtools.read_notebook(path)
+        facts, number = nb.metadata["omnistereo"], nbtools.number(path)
+        title, link = f"{number} {facts['title']}", f"notebooks/{path.stem}.html"
+        count, minutes = len(nbtools.open_functions(nb)), facts["minutes_to_read"]
+        line = f"{count} functions, {minutes} min to read"
+        figure = picture(*best_figure(nb, f"{number} {BEST[number]}"), extra, least=0.0)
+        found.append(
+            f'<div class="card"><a href="{link}" tabindex="-1" aria-hidden="true">{figure}</a>'
+            f'<a href="{link}"><b>{title}</b></a><p>{facts["learn"]}</p><p>{line}'
+            + "".join(f' · <a href="{to}">{where}</a>' for where, to in elsewhere(address, path))
+            + "</p></div>"
+        )
+    return "\n".join(found)
+
+
+def best_figure(nb: nbformat.NotebookNode, name: str) -> tuple[bytes, str]:
+    """Return the figure of a notebook that has the name of a caption, and its alternative text."""
+    captions = yaml.safe_load((nbtools.NOTEBOOKS / "captions.yaml").read_text(encoding="utf-8"))
+    alt = " ".join(captions[name]["alt"].split())
+    for cell in nbtools.code_cells(nb):
+        for output in cell.outputs:
+            for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
+                if output.metadata[mime]["alt"] == alt:
+                    return base64.b64decode(output.data[mime]), alt
+    raise OmnistereoError(f"no output shows the figure {name}. Change BEST in website.py")
+
+
+def repository_address() -> str | None:
+    """Return the address of the repository as git knows it, None unless it is one of the web."""
+    command = ["git", "-C", str(nbtools.ROOT), "config", "--get", "remote.origin.url"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    parts = urlsplit(said)
+    # without a password, which a build service may put into it
+    return f"https://{parts.hostname}{parts.path}" if parts.scheme in ("http", "https") else None
+
+
+def elsewhere(address: str | None, notebook: Path) -> list[tuple[str, str]]:
+    """Return the places that open a notebook of a repository on GitHub, with their addresses."""
+    if not (address or "").startswith("https://github.com/"):
+        return []
+    repository = (address or "").removeprefix("https://github.com/").removesuffix(".git")
+    file = f"notebooks/{notebook.name}"
+    return [
+        ("Colab", f"https://colab.research.google.com/github/{repository}/blob/main/{file}"),
+        ("Binder", f"https://mybinder.org/v2/gh/{repository}/main?labpath={quote(file, safe='')}"),
+    ]
 
 
 def contents(caption: str, names: str) -> str:
