@@ -109,6 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
     ship.add_argument("--half", action="store_true", help="store float16: half the file")
     bench = add("bench", "results.bench.run", "time the library against named alternatives")
     bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
+    bench.add_argument(
+        "--against", type=Path, metavar="CLONE", help="another clone, compared by turns"
+    )
     return commands.run(arguments)
 
 

@@ -9,7 +9,7 @@ import torch
 
 from omnistereo_lib.stereo import correlation
 from omnistereo_rigs.boards.single_camera import calibrate_camera
-from workshop.results import bench
+from workshop.results import bench, pairs
 
 
 @pytest.fixture(autouse=True)
@@ -58,3 +58,17 @@ def test_opencv_gets_a_fair_chance():
 def test_opencv_that_fails_has_infinite_error():
     views = [np.full((120, 2), np.nan) for _ in range(3)]
     assert bench.opencv_fisheye(views, boards.BOARD, boards.SIZE).rms_px == np.inf
+
+
+def test_two_builds_run_by_turns_and_the_least_counts(capsys):
+    values = iter([[3.0, 2.0], [4.0, 8.0], [1.0, 9.0], [5.0, 4.0]])
+    order = []
+    least = pairs._least(lambda clone: order.append(clone) or next(values), ["new", "old"], 2)
+    assert order == ["new", "old"] * 2 and least == [[1.0, 2.0], [4.0, 4.0]]
+    pairs._print_pair("depth", (0.5,), least)
+    assert re.findall("= ([0-9.]+)", capsys.readouterr().out) == ["0.25", "0.50"]
+
+
+def test_a_frame_of_more_cameras_is_timed_in_a_process_of_its_own():
+    wall, cpu, peak = pairs._frame(pairs.ROOT, "zncc", (64, 16, 16, 6, 1))
+    assert 0 < wall < 60 and cpu > 0 and 0.1 < peak < 4

@@ -14,6 +14,7 @@ import resource
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -53,10 +54,11 @@ from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.boards.detect import detect_views
 from omnistereo_rigs.boards.single_camera import calibrate_camera
 from omnistereo_tools.memory import keep_memory
+from workshop.results.pairs import compare_builds, growth
 
 Call = Callable[[], object]
 
-_SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
+_SECONDS = 1.0  # a call is repeated for so long; one that takes longer is timed once
 # Bytes of a cell that must be moved: costs are read, and sums read and written, along the rows,
 # downwards and upwards.
 _SGM, _WINNER = 3 * 4 + 5 * 4, 4
@@ -347,8 +349,13 @@ def bench_calibrate() -> None:
     )
 
 
-def run(quick: bool = False) -> None:
-    """Print all comparisons; quick: at teaching scale. The scale of the paper takes 10 GiB."""
+def run(quick: bool = False, against: Path | None = None) -> None:
+    """Print all comparisons; quick: at teaching scale. The scale of the paper takes 10 GiB.
+
+    against: another clone with an environment in `.venv`, whose commands are run by turns.
+    """
+    if against is not None:
+        compare_builds(against)
     keep_memory()  # as every command does
     cv2.setNumThreads(torch.get_num_threads())
     bandwidth, speed = (value / 1e9 for value in machine())
@@ -369,4 +376,5 @@ def run(quick: bool = False) -> None:
         bench_sweepnet(1200, 300, 192, range(95, 96))
     bench_calibrate()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    growth()
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")
