@@ -147,3 +147,14 @@ def test_a_scheduler_that_is_not_there(distributed, recorded, tmp_path, capsys, 
     )
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_what_a_cluster_without_workers_waits_for_is_told(distributed, capsys):
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as own:
+        came = threading.Timer(2, own.scale, [1])
+        came.start()
+        assert sorted(on_cluster(own.scheduler_address, ten, [1, 2])) == [10, 20]
+        came.join()
+    assert f"waiting for a worker. Start one: dask worker {own.scheduler_address}" in "".join(
+        capsys.readouterr()
+    )
