@@ -9,6 +9,7 @@ import io
 import json
 import os
 import random
+import shutil
 import signal
 import time
 from contextlib import suppress
@@ -24,6 +25,7 @@ import omnistereo_lib as osl
 from omnistereo_rigs.boards.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
+SMALL = ["--grid", "96x24x16", "--method", "zncc+sgm"]
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 pytestmark = [
     pytest.mark.nightly,
@@ -71,15 +73,27 @@ def corners(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def command(request, data, corners):
-    """Return the command line that writes into a folder."""
-    small = ["--grid", "96x24x16", "--method", "zncc+sgm"]
+@pytest.fixture(scope="module")
+def record(data):
+    """Return the command line that makes a recording in a folder."""
     views = [data / f"cam{k}" for k in (1, 2, 3, 4)]
+    return ["record", "--rig", data / "config.yaml", "--images", *views, *SMALL, "--out"]
+
+
+@pytest.fixture(scope="module")
+def recording(server, record, tmp_path_factory):
+    out = tmp_path_factory.mktemp("recording") / "drive"
+    assert server.run(*record, out) == 0, server.log()[-3000:]
+    return out
+
+
+@pytest.fixture
+def command(request, data, corners, record):
+    """Return the command line that writes into a folder."""
     calibrate = ["calibrate", corners, "--board", "12x10", "--square", 0.06]
     lines = {
-        "depth": ["depth", "--rig", data, *small, "--out"],
-        "recording": ["record", "--rig", data / "config.yaml", "--images", *views, *small, "--out"],
+        "depth": ["depth", "--rig", data, *SMALL, "--out"],
+        "recording": record,
         "calibrate": [*calibrate, "--out"],
         "evaluate": [
             "evaluate",
@@ -98,6 +112,14 @@ def command(request, data, corners):
         data,
         json.dumps({k: v for k, v in MCCNN.as_dict().items() if k != "network"}),
     ]
+    if request.param == "world":
+        whole = request.getfixturevalue("recording")
+        # It writes into the recording.
+        return lambda out: [
+            "world",
+            out if out.exists() else shutil.copytree(whole, out, symlinks=True),
+            *("--voxel", 0.3),
+        ]
     return lambda out: [*(train if request.param == "train" else lines[request.param]), out]
 
 
@@ -146,7 +168,9 @@ def undisturbed(server, tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "command", ["depth", "recording", "calibrate", "train", "evaluate", "render"], indirect=True
+    "command",
+    ["depth", "recording", "world", "calibrate", "train", "evaluate", "render"],
+    indirect=True,
 )
 def test_killed_and_given_again_the_files_are_the_same(
     server, command, undisturbed, tmp_path, request
