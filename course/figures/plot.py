@@ -244,7 +244,7 @@ def explain_ray(
         height_ratios=[1.2, 0.8, 1],
         layout="constrained",
     )
-    fig.suptitle(one.sentence, fontsize=10)
+    fig.suptitle(one.sentence, fontsize=10, wrap=True)
     along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
     along.plot(one.agreement, color="C1", label="agreement")
     along.plot(

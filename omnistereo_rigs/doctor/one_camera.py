@@ -131,8 +131,7 @@ def _fit(start: Pose, x: Floats, y: Floats, c: Floats) -> Pose:
             np.einsum("mi,mi->m", np.cross(seen, y), u) / np.maximum(shorter, 1e-3) / _NOISE
         )
 
-    found = pose(least_squares(residuals, np.zeros(6), loss="cauchy", max_nfev=40).x)
-    return found
+    return pose(least_squares(residuals, np.zeros(6), loss="cauchy", max_nfev=40).x)
 
 
 def fitted_share(evidence: Evidence, rig: Rig, without: Sequence[int]) -> tuple[float, float]:

@@ -154,7 +154,7 @@ class Ray:
         if self.kind not in ("decided", "either", "elsewhere") or self.rival is None:
             return ""
         # Repetition and an edge differ by what is around, and hardly by which cameras agree.
-        off = np.sort(np.abs(self.around - self.rival.sphere) / tolerances(self.around))
+        off = np.sort(np.abs(self.around - self.rival.sphere) / tolerance(self.around))
         if off[len(off) // 10] <= BESIDE:
             return "edge"
         return "look-alike" if off[0] > NOWHERE else ""
@@ -219,13 +219,8 @@ def for_the_page() -> dict[str, Any]:
     }
 
 
-def tolerance(index: float) -> float:
+def tolerance(index: ArrayLike) -> NDArray[np.float64]:
     """Return how many spheres off an index is still right: two, or a tenth of the depth."""
-    return float(tolerances(index))
-
-
-def tolerances(index: ArrayLike) -> NDArray[np.float64]:
-    """Return the `tolerance` of each index."""
     return np.maximum(2.0, 0.1 * np.asarray(index, np.float64))
 
 
@@ -252,6 +247,7 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     column = int(check_number(column, "column", 0, grid.width - 1, whole=True))
     row = int(check_number(row, "row", 0, grid.height - 1, whole=True))
     ray, index = grid.rays()[row, column], float(depth.index[row, column])
+    sigma, bound = depth.sigma[row, column], depth.bound[row, column]
     visible = depth.sweep.keep(
         "visible", lambda: [camera.visible_pixels() for camera in rig.cameras]
     )
@@ -270,12 +266,11 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     hidden = sees & np.array(
         [is_hidden(depth.depth, grid, ray, index, center) for center in rig.centers]
     )
-    right = tolerance(index) * grid.step
     return Ray(
         grid,
         index,
-        float(likely(right, depth.sigma[row, column], depth.bound[row, column])),
-        1 / float(depth.inverse_depth[row, column] + depth.bound[row, column]),
+        float(likely(tolerance(index) * grid.step, sigma, bound)),
+        1 / float(depth.inverse_depth[row, column] + bound),
         depths_around(depth, column, row),
         sees,
         hidden,

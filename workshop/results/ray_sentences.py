@@ -23,7 +23,7 @@ from omnistereo_lib.files import write_text
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.pipeline import estimate_depth
-from omnistereo_tools.judge.ray import FLAT, NOTES, SENTENCES, Ray, explain, tolerance, tolerances
+from omnistereo_tools.judge.ray import FLAT, NOTES, SENTENCES, Ray, explain, tolerance
 from workshop.results.error_bars import DATA, HEIGHT, JUDGED, SPHERES, WIDTH
 
 RESULTS = DATA / "results" / "ray_sentences.json"
@@ -83,7 +83,7 @@ def judge_frame(of_set: str, number: int, rays: int) -> Iterator[tuple[str, list
         row, column = divmod(int(cell), grid.width)
         one, other = explain(depth, column, row), explain(exact, column, row)
         off = abs(one.index - other.index)
-        right = off <= max(tolerance(one.index), tolerance(other.index))
+        right = bool(off <= tolerance(max(one.index, other.index)))
         within = bool(off * grid.step <= depth.bound[row, column])
         verdict = [right, is_right(one, other, right, within), within]
         yield one.kind, verdict, one.note, note_holds(one, other)
@@ -100,7 +100,7 @@ def is_right(one: Ray, exact: Ray, right: bool, within: bool) -> bool:
     if one.kind == "weak":
         return note_holds(one, exact)
     named = one.kind in ("either", "elsewhere") and one.rival is not None
-    return within or (named and abs(one.rival.sphere - exact.index) <= tolerance(exact.index))
+    return bool(within or (named and abs(one.rival.sphere - exact.index) <= tolerance(exact.index)))
 
 
 def note_holds(one: Ray, exact: Ray) -> bool:
@@ -109,7 +109,7 @@ def note_holds(one: Ray, exact: Ray) -> bool:
         return exact.depth >= one.nearest
     if one.rival is None:
         return True
-    there = np.abs(exact.around - one.rival.sphere) <= tolerances(exact.around)
+    there = np.abs(exact.around - one.rival.sphere) <= tolerance(exact.around)
     return bool(there.any()) == (one.note == "edge")
 
 
