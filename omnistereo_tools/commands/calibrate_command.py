@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from omnistereo_lib.geometry.camera import OcamCamera
     from omnistereo_rigs.boards.board import Board
 
     # Names of cameras and of captures, views[camera][capture], sizes of the images.
@@ -110,7 +111,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     from omnistereo_rigs.boards.joint import calibrate_rig
     from omnistereo_rigs.boards.single_camera import calibrate_camera
     from omnistereo_rigs.formats.read import load_cameras
-    from omnistereo_tools.output.calibration_figures import calibration_figure
+    from omnistereo_tools.output.calibration_figures import calibration_figure, where_next
     from omnistereo_tools.outputs import save_figure
     from omnistereo_tools.progress import progress_bar
 
@@ -130,6 +131,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
             views[0], board, None if sizes is None else sizes[0], *chosen
         )
         reports, text, rms = [single], single.text(names), single.rms_px
+        lenses: Sequence[OcamCamera] = [camera]
         known = f"corners are {rms:.2g} px off, up to {single.max_corner_angle_deg:.0f}° off axis"
         warned = single.warnings
         write_ocam_txt(camera, out / "ocam1.txt")
@@ -143,13 +145,17 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         turn, shift = np.max(poses, axis=0)
         known = f"poses are known to {turn:.1g}° and {1000 * shift:.1g} mm"
         warned = (*joint.warnings, *(w for one in reports for w in one.warnings))
+        lenses = rig.cameras
         save_rig(rig, out / "config.yaml")
         written = ["config.yaml"]
     # Write what was found, and say it.
     write_text(out / "report.txt", text + "\n")
     with_corners = not (detected and out.samefile(folder))
-    for name, one in zip(cameras, reports, strict=True):
-        save_figure(out / f"report_{name}.png", calibration_figure(one), dpi=80)
+    next_places = []
+    for name, one, lens in zip(cameras, reports, lenses, strict=True):
+        save_figure(out / f"report_{name}.png", calibration_figure(one, lens), dpi=80)
+        if place := where_next(one, lens):
+            next_places.append(f"{name} {place}")
         if with_corners:  # captures without a board as null
             corners = {capture: one.corners.get(k) for k, capture in enumerate(names)}
             save_corners(out / f"corners_{name}.yaml", corners, board, one.intrinsics.image_size)
@@ -163,6 +169,8 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     if left_out:
         first = min(left_out)
         print(f"{len(left_out)} captures are left out, such as {names[first]}: {left_out[first]}.")
+    if next_places:
+        print(f"Hold the board next, as report_*.png shows: {' | '.join(next_places)}.")
     print(f"written to {out}/: {', '.join(written)}")
     print(
         shlex.join(["omnistereo", "doctor", "--rig", str(out / "config.yaml")])

@@ -58,7 +58,8 @@ def _say(step: str, run: Callable[[], int]) -> int:
     with redirect_stdout(StringIO()) as said:
         status = run()
     verdict, *more = said.getvalue().splitlines()
-    print(f"{step}: {' '.join(verdict.split())}", *(more if status else []), sep="\n", flush=True)
+    told = more if status else [line for line in more if line.startswith("Hold the board next")]
+    print(f"{step}: {' '.join(verdict.split())}", *told, sep="\n", flush=True)
     return status
 
 

@@ -4,7 +4,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_rigs.boards.report import CameraReport
+
+_FEW = 10  # corners in a part of the image
+# Parts of the image: rings from the axis, in degrees, and eight sectors.
+_RINGS = {"halfway out": (30.0, 60.0), "near the rim": (60.0, 180.0)}
+_SECTORS = ["right", "lower right", "bottom", "lower left"]
+_SECTORS += ["left", "upper left", "top", "upper right"]
 
 
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
@@ -73,8 +80,59 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
     _frame_of_image(ax, report, "direction of the error")
 
 
-def draw_coverage(ax: Axes, report: CameraReport) -> None:
-    """Draw all corners in the image, a colour for each view, with circles of 30°, 60°, 90°."""
+def uncovered(report: CameraReport, camera: OcamCamera) -> list[tuple[str, int]]:
+    """Return the parts of the image, (ring, sector), in which fewer than ten corners were seen."""
+    corners = np.concatenate([report.corners[view] for view in report.views_used])
+    angles = np.degrees(np.concatenate([report.angles[view] for view in report.views_used]))
+    x, y = (corners - camera.center).T
+    sectors = np.round(np.arctan2(y, x) / (np.pi / 4)) % 8
+    found = []
+    for ring, (low, high) in _RINGS.items():
+        within = (angles >= low) & (angles < high)
+        for sector in range(8):
+            if (within & (sectors == sector)).sum() < _FEW and _is_in_image(camera, ring, sector):
+                found.append((ring, sector))
+    return found
+
+
+def where_next(report: CameraReport, camera: OcamCamera) -> str:
+    """Return where to hold the board for the next pictures, in words; "" where all was covered."""
+    parts = uncovered(report, camera)
+    places = {
+        ring: [_SECTORS[sector] for found, sector in parts if found == ring] for ring in _RINGS
+    }
+    return "; ".join(
+        f"{ring}: " + ("all around" if len(names) == 8 else ", ".join(names))
+        for ring, names in places.items()
+        if names
+    )
+
+
+def _outline(camera: OcamCamera, ring: str, sector: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels along the outline of a part of the image, (N, 2), and which are in view."""
+    low, high = _RINGS[ring]
+    middle, half = np.pi / 4 * sector, np.pi / 8
+    turn = np.linspace(middle - half, middle + half, 12)
+    inner, outer = (np.radians(min(end, camera.max_fov_deg / 2 - 0.5)) for end in (low, high))
+    theta = np.concatenate([np.full(12, inner), np.full(12, outer)])
+    azimuth = np.concatenate([turn, turn[::-1]])
+    sine = np.sin(theta)
+    rays = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(theta)], -1)
+    return camera.project(rays)
+
+
+def _is_in_image(camera: OcamCamera, ring: str, sector: int) -> bool:
+    """Return whether more than half of the outline of a part is in view."""
+    inner = _RINGS[ring][0]
+    return bool(_outline(camera, ring, sector)[1].mean() > 0.5) and inner < camera.max_fov_deg / 2
+
+
+def draw_coverage(ax: Axes, report: CameraReport, camera: OcamCamera | None = None) -> None:
+    """Draw all corners in the image, a colour for each view, with circles of 30°, 60°, 90°; of a
+    calibrated camera also the parts without corners, shaded.
+    """
+    if camera is not None:
+        _draw_uncovered(ax, report, camera)
     for view in report.views_used:
         u, v = report.corners[view].T
         ax.scatter(u, v, s=5, linewidths=0)
@@ -89,6 +147,13 @@ def draw_coverage(ax: Axes, report: CameraReport) -> None:
     _frame_of_image(ax, report, f"{len(report.views_used)} boards, up to {reach:.0f}°")
 
 
+def _draw_uncovered(ax: Axes, report: CameraReport, camera: OcamCamera) -> None:
+    for ring, sector in uncovered(report, camera):
+        around, inside = _outline(camera, ring, sector)
+        ax.fill(*around[inside].T, color="C1", alpha=0.25, lw=0)
+        ax.annotate("here next", around[inside].mean(0), fontsize=8, ha="center", color="C3")
+
+
 def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
     width, height = report.intrinsics.image_size
     ax.set(
@@ -101,11 +166,13 @@ def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
     )
 
 
-def calibration_figure(report: CameraReport) -> Figure:
-    """Return what a calibration is judged by: coverage, residuals, by angle, directions."""
+def calibration_figure(report: CameraReport, camera: OcamCamera | None = None) -> Figure:
+    """Return what a calibration is judged by: coverage, residuals, by angle, directions; see
+    `draw_coverage`.
+    """
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots(2, 2)
-    draw_coverage(axes[0, 0], report)
+    draw_coverage(axes[0, 0], report, camera)
     draw_residuals(axes[0, 1], report)
     draw_error_by_angle(axes[1, 0], report)
     draw_error_directions(axes[1, 1], report)

@@ -1,0 +1,42 @@
+"""Where to hold the board next, against corners that leave known parts of a lens out."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import scene
+from matplotlib.figure import Figure
+
+from omnistereo_tools.output.calibration_figures import draw_coverage, uncovered, where_next
+
+CAMERA = scene.camera(width=200, height=192)
+
+
+def seen(keep):
+    """A report on corners in all directions in view for which `keep` (angle, azimuth) holds."""
+    theta, azimuth = np.meshgrid(np.radians(np.arange(2, 109, 2)), np.radians(np.arange(0, 360, 5)))
+    rays = np.stack(
+        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], -1
+    )
+    pixels, valid = CAMERA.project(rays)
+    chosen = valid & keep(np.degrees(theta), np.degrees(azimuth))
+    report = SimpleNamespace(views_used=[0], corners={0: pixels[chosen]}, angles={0: theta[chosen]})
+    report.max_corner_angle_deg = 109.0
+    report.intrinsics = SimpleNamespace(image_size=(200, 192), camera=lambda _: CAMERA)
+    return report
+
+
+def test_nothing_is_asked_for_where_all_was_seen():
+    report = seen(lambda angle, _: angle >= 0)
+    assert uncovered(report, CAMERA) == [] and where_next(report, CAMERA) == ""
+
+
+def test_the_parts_without_corners_are_named_and_drawn():
+    # y points down: an azimuth of 90° is the bottom of the image
+    report = seen(lambda angle, azimuth: (angle < 60) | (np.abs(azimuth - 90) > 30))
+    assert where_next(report, CAMERA) == "near the rim: bottom"
+    ax = Figure().subplots()
+    draw_coverage(ax, report, CAMERA)
+    (part,) = ax.patches
+    assert (part.get_xy()[:, 1] > CAMERA.center[1] + 40).all()
+    report = seen(lambda angle, _: angle < 30)
+    assert where_next(report, CAMERA) == "halfway out: all around; near the rim: all around"
