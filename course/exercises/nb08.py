@@ -62,8 +62,9 @@ check_camera_features = Open(camera_features, _images_and_layers).with_slips("""
 
 
 def pair_features(left, right, per_camera, per_pair, halo):
-    """Numbers (B, H, W, C) of each ray, of two warped images (B, H, W), NaN where unseen, around
-    the seam."""
+    """Numbers (B, H, W, C) of each ray, of two warped images (B, H, W), NaN where a camera does not
+    see it, around the seam; NaN where not both see the ray."""
+    seen = (left + right).isfinite()
     left, right = (
         nn.functional.pad(x.nan_to_num(), (halo, halo), mode="circular") for x in (left, right)
     )
@@ -74,7 +75,8 @@ def pair_features(left, right, per_camera, per_pair, halo):
         nn.functional.conv_transpose2d(x, *deconv1, stride=2, padding=1, output_padding=1)
     )
     x = torch.relu(nn.functional.conv2d(x, *conv20, padding=1))
-    return x[..., halo : x.shape[-1] - halo].permute(0, 2, 3, 1)
+    x = x[..., halo : x.shape[-1] - halo].permute(0, 2, 3, 1)
+    return torch.where(seen[..., None], x, torch.nan)
 
 
 def _two_images(rng: Rng, k: int) -> tuple:
@@ -90,11 +92,11 @@ check_pair_features = Open(pair_features, _two_images).with_slips("""
     mode="circular" → mode="constant"
     # zeros beyond the seam are not what is there: mode='circular'
     mode="circular" → mode="replicate"  # the panorama is a circle: mode='circular'
-    x[..., halo : x.shape[-1] - halo] → x
-    # cut the repeated columns off again: `halo` on both sides
-    left, right =
-    → both = 0 * (left + right); left, right = left + both, right + both; left, right =
+    seen = (left + right).isfinite()
+    → seen = (left + right).isfinite(); left, right = left + 0 * right, right + 0 * left
     # each image keeps what it sees: only its own NaN become 0
+    torch.where(seen[..., None], x, torch.nan) → x
+    # NaN where not both see the ray
 """)
 
 

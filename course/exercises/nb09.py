@@ -1,4 +1,4 @@
-"""Notebook 09: the receptive field, the window with most of the influence, covers, the prior."""
+"""Notebook 09: the receptive field, influence and the window with most of it, covers, the prior."""
 
 import numpy as np
 import torch
@@ -13,10 +13,8 @@ def receptive_field(layers):
     """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride
     1/2 doubles."""
     # what one value sees, and how far apart neighbouring values are, both in pixels of the input
-    side, pixel = (
-        1,
-        1.0,
-    )
+    side = 1
+    pixel = 1.0
     for kernel, stride in layers:
         # the kernel of a layer that doubles lies on its output
         side += (kernel - 1) * pixel * min(stride, 1)
@@ -40,6 +38,51 @@ check_receptive_field = Open(receptive_field, _some_layers).with_slips("""
     pixel *= stride → pixel *= max(stride, 1)
     # a stride of 1/2 halves the distance between values again
     pixel *= stride → pixel = stride  # strides multiply up: the product of all that came before
+""")
+
+
+def mean_influence(score, image, places, radius):
+    """Mean map (2 radius + 1, 2 radius + 1) of the absolute gradient of score(image, row, column)
+    by an image (H, W) around the rays at places (P, 2), each map of sum 1."""
+    side = 2 * radius + 1
+    maps = []
+    for row, column in places:
+        pixels = image.nan_to_num().requires_grad_()
+        score(pixels, int(row), int(column)).backward()
+        influence = pixels.grad.abs()
+        # the ray into the middle: columns go around, beyond the rows there is nothing
+        influence = torch.roll(influence, radius - int(column), dims=1)[:, :side]
+        influence = torch.nn.functional.pad(influence, (0, 0, radius, radius))
+        influence = influence[int(row) : int(row) + side]
+        maps.append(influence / influence.sum())  # each ray weighs the same
+    return torch.stack(maps).mean(dim=0)
+
+
+def _some_rays(rng: Rng, k: int) -> tuple:
+    H, W, radius = 7, 12 + k % 3, 2 + k % 2
+    weights = torch.from_numpy(rng.normal(0, 1, (H, W)))
+    image = torch.from_numpy(rng.normal(0, 1, (H, W)))
+    image[2, 3] = np.nan
+
+    def score(image, row, column):
+        rows, columns = torch.arange(H)[:, None] - row, torch.arange(W) - column
+        columns = (columns + W // 2) % W - W // 2
+        near = torch.exp(-(rows**2 + columns**2) / 2.0)
+        return (near * weights * image**2).sum() * (1 + row)
+
+    places = np.stack([rng.integers(0, H, 3), rng.integers(0, W, 3)], axis=1)
+    places[0, 1], places[1, 0] = 0, H - 1
+    return score, image, places, radius
+
+
+check_mean_influence = Open(mean_influence, _some_rays).with_slips("""
+    pixels.grad.abs() → pixels.grad
+    # a pixel that lowers the score has influence, too: the absolute value
+    influence / influence.sum() → influence
+    # a ray with steep scores outvotes the others: divide each map by its sum
+    .mean(dim=0) → .sum(dim=0)  # that is the sum of the maps
+    radius - int(column) → -int(column)
+    # the ray is at the left: shift its column to the middle, number `radius`
 """)
 
 
