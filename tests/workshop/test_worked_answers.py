@@ -9,16 +9,17 @@ from notebook_comparison import Printed
 from course import nbtools
 from workshop.publish import answers
 
+OPEN = {"09.1"}  # minutes of SweepNet on two cores
 ANSWERED = [found[2] for found in answers.ANSWER.finditer(answers.PAGE.read_text("utf-8"))]
 
 
-def test_answers_are_those_of_experiments_in_their_order():
+def test_every_experiment_has_its_answer_in_their_order():
     asked = []
     for path in nbtools.notebooks():
         cells = nbformat.read(path, as_version=4).cells
         prose = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
         asked += re.findall(r"^\*\*(\d\d\.\d) \(experiment\)", prose, re.MULTILINE)
-    assert [name for name in asked if name in ANSWERED] == ANSWERED and len(ANSWERED) >= 15
+    assert [name for name in asked if name not in OPEN] == ANSWERED
     for name in ANSWERED:
         _, printed = answers.codes(name[:2])[name]
         assert printed.strip(), name

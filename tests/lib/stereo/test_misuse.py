@@ -153,6 +153,10 @@ def test_points_of_another_shape(points):
         GRID.project(points)
 
 
+def volume(cost):
+    return osl.cost_volume(SWEEP, IMAGES, cost)
+
+
 def rig(pose=0.0, min_depth=None):
     return osl.Rig(RIG.cameras, [osl.Pose(np.eye(3), [pose, 0, 0])] * 4, min_depth)
 
@@ -163,36 +167,18 @@ def rig(pose=0.0, min_depth=None):
         (lambda: osl.SphereGrid(96, 1_000_000_000), "height is 1000000000"),
         (lambda: osl.SphereSweep(RIG, GRID, device="mps"), "mps.*; expected .*cuda"),
         (lambda: depth([None] * 4), "image 1 holds object; expected real numbers"),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, Flat()),
-            r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)",
-        ),
+        (lambda: volume(Flat()), r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)"),
         (lambda: osl.save_rig(RIG, "rig.json"), "rig.json: a rig is saved as YAML"),
         (lambda: osl.ZNCC(window="9"), "window is '9'"),
         (lambda: rig(1e8), r"camera 1 .* 100000000.0; expected a number of 0 to 1"),
         (lambda: rig(min_depth=-1.0), "min_depth.* is -1.0"),
         (lambda: sgm(torch.from_numpy(VOLUME + 1j)), "type torch.complex64; expected"),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, Silent()),
-            r"gives None; expected .* \(12, 48, 4\)",
-        ),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, Whole(None)),
-            "Whole.* returns None; expected a float tensor",
-        ),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, Whole(torch.zeros(4, 12, 48))),
-            r"returns .* \(4, 12, 48\); expected",
-        ),
-        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.ZNCC), "cost is <class .*; expected an object"),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().half()),
-            "the network has weights of type torch.float16",
-        ),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().to("meta")),
-            "the network has no weights",
-        ),
+        (lambda: volume(Silent()), r"gives None; expected .* \(12, 48, 4\)"),
+        (lambda: volume(Whole(None)), "Whole.* returns None; expected a float tensor"),
+        (lambda: volume(Whole(torch.zeros(4, 12, 48))), r"returns .* \(4, 12, 48\); expected"),
+        (lambda: volume(osl.ZNCC), "cost is <class .*; expected an object"),
+        (lambda: volume(osl.MCCNN().half()), "the network has weights of type torch.float16"),
+        (lambda: volume(osl.MCCNN().to("meta")), "the network has no weights"),
         (lambda: depth(progress=None), "progress is None; expected Callable"),
         (lambda: sgm(1e38 * VOLUME), r"a cost is infinite, or 1e\+30 or more"),
         (lambda: sgm(VOLUME, p2=1e38), r"p2 = 1e\+38; expected"),
