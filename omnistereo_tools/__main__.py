@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 
 
 def start() -> int:
@@ -12,12 +13,16 @@ def start() -> int:
     # Before torch: its threads would spin while they wait, and beside other work wait for each
     # other (`depth` on two cores with a load of 20: 13 s of the processor, and 3 s so).
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from omnistereo_tools.cli import main
-    from omnistereo_tools.memory import keep_memory
+    try:
+        from omnistereo_tools.cli import main
+        from omnistereo_tools.memory import keep_memory
 
-    # A command without it takes 1.3 s more of the system's time (`depth`, 6.4 s).
-    keep_memory()
-    status = main()
+        # A command without it takes 1.3 s more of the system's time (`depth`, 6.4 s).
+        keep_memory()
+        status = main()
+    except KeyboardInterrupt:  # while the command was loaded
+        return 130
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to say
     gc.freeze()
     return status
 

@@ -76,8 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
     except KeyboardInterrupt:
-        resumes = "; run the same command to resume" if options and options.resumes else ""
-        return _stop(f"interrupted{resumes}", 130)
+        return _interrupted(options)
     except OSError as error:
         if error.filename is None:  # what the output has not taken would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -86,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = error.filename or "the output"
         return _stop(f"error: {place} cannot be read or written: {error.strerror}", 2)
     except Exception as error:
+        if isinstance(error.__context__, KeyboardInterrupt):  # modules in C may raise another one
+            return _interrupted(options)
         if isinstance(error, MemoryError) or _EXHAUSTED.search(str(error)):
             lack = "the machine has too little memory or GPU left"
             return _stop(f"error: {lack} ({error}). Ask for less of it.", 2)
@@ -97,6 +98,11 @@ def _say(line: str) -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)  # one may stand in the line
     with bars.external_write_mode(sys.stderr) if bars else nullcontext():
         print(one_line(line), file=sys.stderr, flush=True)
+
+
+def _interrupted(options: Options | None) -> int:
+    resumes = "; run the same command to resume" if options and options.resumes else ""
+    return _stop(f"interrupted{resumes}", 130)
 
 
 def _warn(line: str, said: set[str]) -> None:

@@ -54,9 +54,12 @@ def child(command, log, folder):
     os.chdir(folder)
     os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), 1)
     os.dup2(1, 2)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        status = run(command)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            status = run(command)
+        finally:  # Ctrl-C has no meaning when the command has ended
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
     except KeyboardInterrupt:
         status = 130
     except SystemExit as stop:

@@ -35,11 +35,35 @@ def stopped(*_):
     signal.raise_signal(signal.SIGINT)
 
 
-def test_a_command_is_stopped(monkeypatch, capsys):
+def stopped_within_an_import(options):
+    """Modules written in C may raise another error."""
+    try:
+        stopped()
+    finally:
+        raise ImportError("numpy._core.multiarray failed to import")
+
+
+@pytest.mark.parametrize("run", [stopped, stopped_within_an_import])
+def test_a_command_is_stopped(monkeypatch, capsys, run):
     doctor = cli.doctor_command
-    monkeypatch.setattr(doctor, "run", wraps(doctor.run)(stopped))
+    monkeypatch.setattr(doctor, "run", wraps(doctor.run)(run))
     assert cli.main(["doctor"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("module", ["omnistereo_tools.cli", "omnistereo_tools.memory"])
+def test_ctrl_c_while_a_command_is_loaded_is_silent(module):
+    """A module of that name raises it when it is imported."""
+    code = f"""import importlib.abc, sys
+class Stop(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, *_):
+        if name == "{module}":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Stop())
+from omnistereo_tools.__main__ import start
+sys.exit(start())"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "")
 
 
 @pytest.mark.parametrize("name", ["train", "evaluate"])
