@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterable
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
 # modes, as Pillow calls them
 _NOT_READ = {mode: f"{mode} colours" for mode in ("CMYK", "LAB", "YCbCr", "HSV")}
 _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
+_EXPECTED = "expected gray or RGB values of 8 or 16 bits. Convert it."
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
 # width, height, largest value
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
@@ -56,6 +58,8 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
     except Image.DecompressionBombError as error:
         raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
     except UnidentifiedImageError:
+        if of_what := _tiff_values(content):
+            raise OmnistereoError(f"{path} holds {of_what}; {_EXPECTED}") from None
         found = f"{path} is not an image ({len(content)} bytes)"
         raise OmnistereoError(f"{found}; expected one of {', '.join(_FORMATS)}") from None
     except Exception as error:  # of many types
@@ -72,6 +76,18 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
     if orientation != 1:
         remark_turned(path, f"or mirrored (orientation {orientation})")
     return content, picture
+
+
+def _tiff_values(content: bytes) -> str | None:
+    """Return what a TIFF that Pillow does not know holds, such as float32; None if it is none."""
+    import tifffile
+
+    with suppress(Exception):  # of many types
+        logging.getLogger("tifffile").setLevel(logging.CRITICAL)
+        page = tifffile.TiffFile(BytesIO(content)).pages.first
+        if page.dtype is not None and page.dtype.kind in "if" and page.dataoffsets:
+            return f"values of {page.dtype}, {' × '.join(map(str, page.shape))}"
+    return None
 
 
 def _jpeg_end(content: bytes) -> int:
@@ -96,9 +112,7 @@ def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> 
     content, picture = open_picture(path)
     check_size(path, picture.size, image_size)
     if (found := _NOT_READ.get(picture.mode)) and picture.format != "PPM":
-        raise OmnistereoError(
-            f"{path} holds {found}; expected gray or RGB values of 8 or 16 bits. Convert it."
-        )
+        raise OmnistereoError(f"{path} holds {found}; {_EXPECTED}")
     if picture.mode in ("RGBA", "LA", "PA"):
         _remark(path, "has transparency, which is ignored")
     if (more := pages_of(path, picture) - 1) > 0:

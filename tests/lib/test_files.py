@@ -139,6 +139,7 @@ def test_a_largest_value_other_than_255_is_white(tmp_path):
         (RGB, "cielab", "LAB colours"),
         (np.zeros((20, 30, 4), np.uint8), "separated", "CMYK colours"),
         (np.zeros((20, 30), np.float32), "minisblack", "floating-point numbers"),
+        (np.zeros((20, 30, 3), np.float32), "rgb", "values of float32, 20 × 30 × 3"),
     ],
 )
 def test_other_colour_spaces_are_refused_by_name(tmp_path, values, photometric, said):
