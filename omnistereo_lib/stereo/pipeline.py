@@ -50,9 +50,8 @@ def estimate_depth(
             f"frame is {shortened(frame)}; expected a Frame. Make one: Frame.of(rig, images)"
         )
     method = Method.parse(method)
-    return sweep_depth(
-        SphereSweep(frame.rig, grid, device=device), frame, method, subindex, progress
-    )
+    sweep = SphereSweep(frame.rig, grid, device=device, keep_tables=False)
+    return sweep_depth(sweep, frame, method, subindex, progress)
 
 
 def sweep_depth(

@@ -56,6 +56,7 @@ class SphereSweep:
     Args:
         center ((3,), metres): Sweep centre in the rig frame. Default: the mean of the cameras.
         device: Device of tables and warped images: cv2.remap on "cpu", grid_sample elsewhere.
+        keep_tables: False: for a single frame, whose tables would only fill the memory.
 
     Raises:
         OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if
@@ -76,6 +77,7 @@ class SphereSweep:
         grid: SphereGrid,
         center: ArrayLike | None = None,
         device: torch.device | str = "cpu",
+        keep_tables: bool = True,
     ) -> None:
         check_type(rig, Rig, "rig")
         check_type(grid, SphereGrid, "grid")
@@ -87,7 +89,9 @@ class SphereSweep:
         self.grid = grid
         self.device = select_device(device)
         check_memory(len(rig), grid, self.device)
-        self._most_bytes = min(_LUT_BUDGET, available_memory(self.device) // 4)
+        self.keep_tables = keep_tables
+        most = min(_LUT_BUDGET, available_memory(self.device) // 4)
+        self._most_bytes = most if keep_tables else 0
         self._rays = grid.rays()
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         # (start, width) of the visible columns

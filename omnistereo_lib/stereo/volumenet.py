@@ -267,7 +267,8 @@ class VolumeNet(StoredNetwork):
 
         # What depends on the rig and the grid alone.
         step("tables")
-        masks, coordinates = sweep.keep((VolumeNet, size), project)
+        kept = sweep.keep_tables
+        masks, coordinates = sweep.keep((VolumeNet, size), project) if kept else project()
         # What depends on the images.
         features = []
         with autocast(self.precision, device):

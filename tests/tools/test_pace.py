@@ -31,7 +31,7 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     first, second, third = capsys.readouterr().err.splitlines()
     assert (
         first.startswith("volumenet takes about ")
-        and " and 1.2 GiB" in first
+        and " and 1.1 GiB" in first
         and " and 1.4 GiB" in second
         and first != second
         and third == "method: volumenet on cuda"
