@@ -18,7 +18,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import ray
 from omnistereo_tools.output.mesh_export import is_connected
 from omnistereo_tools.output.points import Limits
-from omnistereo_tools.output.viewer import page_of, viewer_data, viewer_page
+from omnistereo_tools.output.viewer import page_of, read_page, viewer_data, viewer_page
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
 DOUBTFUL = slice(100, 120)  # columns
@@ -435,6 +435,18 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
     page.set_input_files("#beside input", tmp_path / "other.html")
     page.wait_for_function("$('readout').textContent.includes('not the index.html')")
     assert page.complaints == []
+
+
+def test_a_run_is_put_beside_another_by_its_page(depth, data, tmp_path):
+    path, panorama = tmp_path / "index.html", np.zeros((40, 160, 3), np.uint8)
+    path.write_text(page_of(data), encoding="utf-8")
+    both = viewer_data(depth, panorama, LIMITS, "both", beside=read_page(path))
+    assert both["beside"]["title"] == "a <box>" and both["beside"]["steps"] == data["steps"]
+    assert "picture" not in both["beside"]
+    for text in ("no page", '<script id="data">{}</script>'):
+        path.write_text(text)
+        with pytest.raises(osl.OmnistereoError, match=r"index.html is not the page of a frame"):
+            read_page(path)
 
 
 @pytest.mark.skipif("AXE" not in os.environ, reason="axe-core is not there")
