@@ -53,11 +53,9 @@ def start(options: list[str]) -> None:
 
 def copy_of(path: Path) -> str:
     """Return a stored notebook as students get it: without the tests of its prose, which give
-    answers away, and with the code folded that only draws.
+    answers away.
     """
     nb = nbtools.read_notebook(path)
-    for cell in nbtools.drawing_cells(nb):
-        cell.metadata["jupyter"] = {"source_hidden": True}
     nb.cells = [cell for cell in nb.cells if "claims" not in cell.metadata.get("tags", ())]
     return nbtools.text_of(nb)
 
