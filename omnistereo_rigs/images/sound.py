@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from omnistereo_rigs.images.moments import SECOND
 from omnistereo_rigs.images.videos import Video
@@ -21,6 +20,8 @@ def heard_late(videos: Sequence[Video]) -> list[int] | None:
     """Return by how much each video's times, from its first picture on, are late, ns, the first
     being on time; None if one of them has no sound, or they hear different things.
     """
+    from scipy.signal import correlate  # half a second, which recordings without sound need not
+
     sounds = [_sound(video) for video in videos]
     late = list[int]()
     for sound in sounds:
