@@ -27,7 +27,8 @@ from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.ray import explain, told
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
-from omnistereo_tools.output.pictures import FILM, ColorScale, draw_frame, panes
+from omnistereo_tools.output.colors import ColorScale
+from omnistereo_tools.output.pictures import FILM, draw_frame, panes
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 

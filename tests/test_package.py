@@ -149,6 +149,23 @@ def run(code):
     ).stdout.strip()
 
 
+# What the first cells of notebooks 01 to 03 import, and of 04 and 05 but for the methods.
+FIRST_CELLS = """
+import omnistereo_lib as osl
+from course.classroom.doctor import doctor
+from course.exercises import nb01, nb02, nb03, nb04, nb05
+from course.figures import drawings, plot, uncertainty
+from omnistereo_rigs import Checkerboard, calibrate_camera, calibrate_rig, doctor as rig_doctor
+from omnistereo_rigs.boards import captures, detect
+osl.load_dataset, osl.load_rig, osl.SphereGrid
+"""
+
+
+def test_notebooks_start_without_what_finds_depth():
+    heavy = "{'torch', 'numba', 'psutil', 'simplejpeg', 'pyvista'}"
+    assert run(f"import sys{FIRST_CELLS}print({heavy} & set(sys.modules))") == "set()"
+
+
 def test_the_package_itself_imports_nothing_and_geometry_only_numpy():
     """Blender's interpreter has nothing else."""
     heavy = "{'torch', 'cv2', 'numba', 'matplotlib', 'yaml', 'scipy', 'tifffile', 'psutil'}"

@@ -1,6 +1,7 @@
 """Figures of the notebooks: captioned, live, and the panels that they are made of.
 
-Matplotlib is imported by the functions that draw, so that importing this module stays fast.
+Matplotlib, and what finds depth, are imported by the functions that need them, so that importing
+this module stays fast.
 """
 
 from __future__ import annotations
@@ -18,21 +19,18 @@ from course.figures import stills
 from course.figures.captions import caption_output, captions
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.judge import ray
 from omnistereo_tools.output.calibration_figures import calibration_figure as calibration_figure
 from omnistereo_tools.output.calibration_figures import draw_coverage as draw_coverage
-from omnistereo_tools.output.pictures import colorize_depth, sharp_panorama
-from omnistereo_tools.output.pictures import draw_points as draw_points
-from omnistereo_tools.output.points import Limits
-from omnistereo_tools.output.summary import metres
-from omnistereo_tools.output.viewer import page_of, viewer_data
+from omnistereo_tools.output.colors import colorize_depth
+from omnistereo_tools.output.points import draw_points as draw_points
 
 if TYPE_CHECKING:
     from ipywidgets import Widget
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
+
+    from omnistereo_lib.stereo.depth import Depth
 
 DEPTH_COLORS = "inferno"  # the colours of `colorize_depth`
 SHARP_PX = 1280  # width of the panorama in the viewer
@@ -48,7 +46,13 @@ def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True
     from PIL import Image
 
     drawn, encoded = io.BytesIO(), io.BytesIO()
-    fig.savefig(drawn, format="png", dpi=DPI[kind], bbox_inches="tight" if tight else None)
+    fig.savefig(
+        drawn,
+        format="png",
+        dpi=DPI[kind],
+        bbox_inches="tight" if tight else None,
+        pil_kwargs={"compress_level": 0},  # it is read at once
+    )
     image = Image.open(drawn).convert("RGB")
     if kind == "png":
         image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
@@ -197,6 +201,10 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     from IPython.display import display
     from ipywidgets import HTML
 
+    from omnistereo_tools.output.pictures import sharp_panorama
+    from omnistereo_tools.output.points import Limits
+    from omnistereo_tools.output.viewer import page_of, viewer_data
+
     panorama = sharp_panorama(depth, SHARP_PX)
     limits = Limits(max_depth, min_confidence)
     data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points")
@@ -232,6 +240,9 @@ def explain_ray(
         volumes: Of the method, (H, W, N), each by its name in the legend.
     """
     import matplotlib.pyplot as plt
+
+    from omnistereo_tools.judge import ray
+    from omnistereo_tools.output.summary import metres
 
     one, cameras = ray.explain(depth, column, row), len(depth.sweep.rig)
     fig, axes = plt.subplot_mosaic(

@@ -31,8 +31,8 @@ def draw_mesh(
         uint8 array, shape (height, width, 3), RGB
     """
     # Here, since it brings torch along, which the other process can do without.
-    from omnistereo_tools.output.pictures import draw_points
-    from omnistereo_tools.output.render import BACKGROUND
+    from omnistereo_tools.output.colors import BACKGROUND
+    from omnistereo_tools.output.points import draw_points
 
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "mesh.png"

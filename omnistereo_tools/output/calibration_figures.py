@@ -1,11 +1,17 @@
 """Figures by which a calibration is judged."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_rigs.boards.report import CameraReport
+
+if TYPE_CHECKING:
+    from omnistereo_rigs.boards.report import CameraReport
 
 _FEW = 10  # corners in a part of the image
 # Parts of the image: rings from the axis, in degrees, and eight sectors.

@@ -33,11 +33,11 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panoramas, estimate_gains
+from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
 from omnistereo_tools.output.pictures import (
-    ColorScale,
     as_picture,
     finer,
     in_millimetres,

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
-from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.render import around, draw_surfaces
 
 _WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it

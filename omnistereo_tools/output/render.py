@@ -12,10 +12,10 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.output.colors import BACKGROUND
 from omnistereo_tools.output.mesh_export import surfaces
 from omnistereo_tools.output.points import Limits
 
-BACKGROUND = 0x20  # colours stand out, and what no camera sees does not dazzle
 FOCAL = 0.55  # of the width of a view
 _NEAREST = 0.05  # metres before the eye: triangles that reach nearer are left out
 _BRIGHTER = 0.8  # power: shadows are dark

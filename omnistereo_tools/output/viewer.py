@@ -23,7 +23,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.judge import ray
 from omnistereo_tools.judge.trust import DOUBTFUL
-from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.points import Limits
 
 _PAGE = Path(__file__).with_name("page")

@@ -54,7 +54,8 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.pictures import FILM, ColorScale, draw_frame
+from omnistereo_tools.output.colors import ColorScale
+from omnistereo_tools.output.pictures import FILM, draw_frame
 from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.progress import say
 from omnistereo_tools.record.watching import Watching

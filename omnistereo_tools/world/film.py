@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_tools.output.pictures import FILM, ColorScale, compose, panes
+from omnistereo_tools.output.colors import BACKGROUND, ColorScale
+from omnistereo_tools.output.pictures import FILM, compose, panes
 from omnistereo_tools.output.render import (
-    BACKGROUND,
     FOCAL,
     brighter,
     draw_triangles,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
-from omnistereo_tools.output.pictures import colorize_depth
 from omnistereo_tools.output.points import AXES
 from omnistereo_tools.output.viewer import packed, page_of, webp
 from omnistereo_tools.world.surface import Surface

@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 
 import omnistereo_lib as osl
 from course.figures import plot
-from omnistereo_tools.output.pictures import colorize_depth
+from omnistereo_tools.output.colors import colorize_depth
 
 matplotlib.use("agg")
 

@@ -15,9 +15,9 @@ import omnistereo_lib as osl
 from omnistereo_lib.pictures import read_pixels, write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
+from omnistereo_tools.output.colors import BACKGROUND, ColorScale
 from omnistereo_tools.output.frame import FrameResult
-from omnistereo_tools.output.pictures import BACKGROUND, ColorScale, draw_points
-from omnistereo_tools.output.points import Limits, PointCloud
+from omnistereo_tools.output.points import Limits, PointCloud, draw_points
 from omnistereo_tools.output.summary import depth_sentences, error_sentences
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)

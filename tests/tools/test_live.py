@@ -30,7 +30,8 @@ from omnistereo_tools.live_view import (
     live_pictures,
     serve,
 )
-from omnistereo_tools.output.pictures import FILM, ColorScale, panes
+from omnistereo_tools.output.colors import ColorScale
+from omnistereo_tools.output.pictures import FILM, panes
 
 FRAMES = 5
 # nearer, one camera alone sees some rays

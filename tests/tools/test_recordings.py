@@ -25,7 +25,8 @@ from omnistereo_tools.input.sources import Recording, open_sources
 from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
-from omnistereo_tools.output.pictures import FILM, colorize_depth, panes
+from omnistereo_tools.output.colors import colorize_depth
+from omnistereo_tools.output.pictures import FILM, panes
 from omnistereo_tools.record import recordings, watching
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)

@@ -5,8 +5,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_tools.output.colors import BACKGROUND
 from omnistereo_tools.output.render import (
-    BACKGROUND,
     around,
     draw_surfaces,
     draw_triangles,

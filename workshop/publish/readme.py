@@ -22,8 +22,8 @@ from omnistereo_lib.files import write_text
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
+from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import write_mesh
-from omnistereo_tools.output.pictures import colorize_depth
 from omnistereo_tools.output.points import Limits
 from omnistereo_tools.output.viewer import data_of, page_of
 
