@@ -190,6 +190,31 @@ def test_nothing_is_off_the_screen_and_nothing_lies_over_another(depth, pages, s
     page.set_viewport_size(dict(zip(("width", "height"), SIZES[size], strict=True)))
 
 
+def test_a_tap_that_opens_the_explanation_operates_nothing_that_slides_under_the_finger(pages):
+    page = in_mode(begun(pages["phone"]), "look")
+    page.set_viewport_size({"width": 390, "height": 844})
+    state = "[mode(), ...INPUTS.map(name => $(name).value), view.zoom, flight, $('why').hidden]"
+    boxes = page.evaluate("""() => {
+        pick(20 * D.width + 80)
+        const found = [...document.querySelectorAll("#controls :is(.pick label, input, button)")].map(
+            control => control.getBoundingClientRect()).map(box => [box.x + box.width / 2, box.y + box.height / 2])
+        $("reset").onclick()
+        return found
+    }""")
+    tapped = 0
+    for x, y in boxes:
+        before = page.evaluate(state)
+        if page.evaluate("([clientX, clientY]) => rayAt({ clientX, clientY })", [x, y]) < 0:
+            continue
+        page.touchscreen.tap(x, y)
+        page.wait_for_timeout(50)
+        after, tapped = page.evaluate(state), tapped + (not page.evaluate("$('why').hidden"))
+        assert after[:-1] == before[:-1]
+        page.evaluate("$('reset').onclick()")
+    assert tapped >= 3
+    page.set_viewport_size(dict(zip(("width", "height"), SIZES["phone"], strict=True)))
+
+
 def test_the_first_view_is_not_magnified_by_more_than_two(page, data):
     assert page.evaluate("focal()") * np.pi / 180 <= 2 * data[
         "pixelsPerDegree"

@@ -297,7 +297,8 @@ canvas.addEventListener("pointerdown", e => {
   // A finger does not hover.
   tell(e);
 });
-canvas.addEventListener("pointerup", e => {
+// Not when the finger is lifted: the page is laid out anew, and its click would fall on what then lies below it.
+canvas.addEventListener("click", e => {
   if (pressed && Math.hypot(e.clientX - pressed.clientX, e.clientY - pressed.clientY) < 6) pick(rayAt(e));
 });
 for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => dragging.delete(e.pointerId));
