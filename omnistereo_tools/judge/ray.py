@@ -36,6 +36,9 @@ AROUND_DEG = 3.4  # how far around a ray the depths beside it are looked up
 # In tolerances: a tenth of the depths around, and the nearest of all, are within and beyond that of
 # another depth at which the patches agree. Then a surface is there, or it only looks alike.
 BESIDE, NOWHERE = 0.5, 5.0
+JUMP = (
+    1.0  # in tolerances, between neighbouring rays: less is a slope, such as the road, and no edge
+)
 GRAY = np.array([0.299, 0.587, 0.114])  # BT.601 luma
 ON_THE_WAY = 32  # places between a point and a camera where something may stand
 
@@ -56,7 +59,8 @@ class Ray:
     index: float  #: sphere index of the estimate, NaN unknown
     likely: float  #: how likely that is right, see `trust.likely`; NaN without error bars
     nearest: float  #: metres, at the near end of the 95 % bound; NaN without error bars
-    around: NDArray[np.float64]  #: (M,), sphere indices of the estimates around the ray
+    #: (rows, columns), sphere indices of the estimates around the ray, NaN unknown
+    around: NDArray[np.float64]
     sees: NDArray[np.bool_]  #: (cameras,), whose field of view holds the estimated point
     hidden: NDArray[np.bool_]  #: (cameras,), of those, from which something nearer hides it
     #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
@@ -154,10 +158,21 @@ class Ray:
         if self.kind not in ("decided", "either", "elsewhere") or self.rival is None:
             return ""
         # Repetition and an edge differ by what is around, and hardly by which cameras agree.
-        off = np.sort(np.abs(self.around - self.rival.sphere) / tolerance(self.around))
+        known = self.around[np.isfinite(self.around)]
+        off = np.sort(np.abs(known - self.rival.sphere) / tolerance(known))
         if off[len(off) // 10] <= BESIDE:
-            return "edge"
+            return "edge" if self.jump > JUMP * tolerance(self.index) else ""
         return "look-alike" if off[0] > NOWHERE else ""
+
+    @property
+    def jump(self) -> float:
+        """Spheres by which neighbouring rays around differ at most, of those between the estimate
+        and the rival.
+        """
+        rival = self.rival.sphere if self.rival else self.index
+        between = self.around.clip(min(self.index, rival), max(self.index, rival))
+        steps = [np.abs(np.diff(between, axis=axis)).ravel() for axis in (0, 1)]
+        return float(np.nanmax(np.concatenate(steps), initial=0.0))
 
     @property
     def sentence(self) -> str:
@@ -214,6 +229,7 @@ def for_the_page() -> dict[str, Any]:
         "aroundDeg": AROUND_DEG,
         "beside": BESIDE,
         "nowhere": NOWHERE,
+        "jump": JUMP,
         "sentences": SENTENCES,
         "notes": NOTES,
     }
@@ -225,12 +241,11 @@ def tolerance(index: ArrayLike) -> NDArray[np.float64]:
 
 
 def depths_around(depth: Depth, column: int, row: int) -> NDArray[np.float64]:
-    """Return the sphere indices of the rays within `AROUND_DEG` that have an estimate, (M,)."""
+    """Return the sphere indices of the rays within `AROUND_DEG`, (rows, columns); NaN unknown."""
     reach = max(1, round(AROUND_DEG * depth.grid.width / 360))
     rows = slice(max(0, row - reach), row + reach + 1)
     columns = np.arange(column - reach, column + reach + 1) % depth.grid.width
-    found = np.asarray(depth.index[rows, columns], np.float64)
-    return found[np.isfinite(found)]
+    return np.asarray(depth.index[rows, columns], np.float64)
 
 
 def explain(depth: Depth, column: int, row: int) -> Ray:

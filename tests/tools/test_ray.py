@@ -84,14 +84,34 @@ def test_a_second_depth_is_an_edge_if_it_is_found_around_and_else_a_look_alike(b
     bumps = (np.exp(-((np.arange(64) - at) ** 2) / 8.0) for at in (n, away))
     scores = np.ones((6, 1)) * sum(0.5 * bump for bump in bumps)
     two = replace(one, scores=scores, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
-    around = np.full(49, one.index)
     for beside, note in ((0, "look-alike"), (2, ""), (5, "edge"), (40, "edge")):
+        around = np.full(49, one.index)
         around[:beside] = away
-        found = replace(two, around=around)
+        found = replace(two, around=around.reshape(7, 7))
         assert (found.kind, found.note) == ("either", note)
         assert found.sentence.count(ray.told(float(box.grid.index_to_depth(away)))) == 1 + (
             note != ""
         )
+
+
+def test_depths_that_change_smoothly_to_a_second_one_are_a_slope_and_no_edge(box):
+    """Such as the road, which reaches many depths within a few degrees."""
+    one = ray.explain(box, 80, 20)
+    n = round(one.index)
+    beside = n + 5
+    bumps = (np.exp(-((np.arange(64) - at) ** 2) / 2.0) for at in (n, beside))
+    scores = np.ones((6, 1)) * sum(0.5 * bump for bump in bumps)
+    two = replace(one, scores=scores, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
+    assert two.rival.sphere == beside and ray.tolerance(n) < 5
+    rows = n + np.linspace(-5, 5, 7)
+    slope, edge = (np.tile(at[:, None], 7) for at in (rows, np.where(rows > n + 1, beside, n)))
+    for around in (slope, slope.T, np.where(np.eye(7), np.nan, slope)):
+        assert replace(two, around=around).note == ""
+    beyond = np.where(np.arange(7) == 6, 60.0, rows)  # an edge, but to what is nearer than that
+    assert replace(two, around=np.tile(beyond, (7, 1))).note == ""
+    blurred = np.where(rows == rows[4], (n + beside) / 2, edge[:, 0])
+    for around in (edge, edge.T, np.tile(blurred, (7, 1))):
+        assert replace(two, around=around).note == "edge"
 
 
 def test_a_depth_that_is_not_certain_is_told_with_the_near_end_of_its_bound(box):

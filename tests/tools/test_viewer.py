@@ -296,7 +296,11 @@ def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
     for row, column in [(20, 80), (5, 10), (33, 60), (12, 130), (39, 100), (20, 0)]:
         expected = ray.explain(same, column, row)
         found = desktop.evaluate(
-            "k => { const found = explain(k); return { ...found, words: sentenceOf(found) } }",
+            """k => {
+                const found = explain(k), { rival } = found
+                const jump = rival ? jumpOf(depthsAround(k), found.index, rival.sphere) : 0
+                return { ...found, jump, words: sentenceOf(found) }
+            }""",
             row * 160 + column,
         )
         values = np.array(
@@ -307,7 +311,7 @@ def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
             expected.sees.tolist(),
             expected.hidden.tolist(),
         )
-        for name in ("contrast", "shift", "chosen", "alike"):
+        for name in ("contrast", "shift", "chosen", "alike", "jump"):
             assert found[name] == pytest.approx(getattr(expected, name), rel=1e-3, nan_ok=True), (
                 name
             )

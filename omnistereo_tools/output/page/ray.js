@@ -151,24 +151,30 @@ function kindOf({ sees, contrast, chosen, rival, likely }) {
   return peak && R.clear * other <= chosen ? "either" : "elsewhere";
 }
 
-// The spheres of the estimates around a ray.
+// The spheres of the estimates around a ray, in rows; NaN unknown.
 function depthsAround(k) {
-  const reach = Math.max(1, Math.round(R.aroundDeg * D.width / 360)), found = [];
-  const row = Math.floor(k / D.width), column = k % D.width;
+  const reach = Math.max(1, Math.round(R.aroundDeg * D.width / 360)), rows = [];
+  const row = Math.floor(k / D.width), left = k % D.width - reach + D.width;
   for (let y = Math.max(0, row - reach); y <= Math.min(D.height - 1, row + reach); y++)
-    for (let x = column - reach; x <= column + reach; x++) {
-      const n = sphereOf(inverse(y * D.width + (x + D.width) % D.width));
-      if (!Number.isNaN(n)) found.push(n);
-    }
-  return found;
+    rows.push(Array.from({ length: 2 * reach + 1 }, (_, i) => sphereOf(inverse(y * D.width + (left + i) % D.width))));
+  return rows;
+}
+
+// Spheres by which neighbours among them differ at most, of those between two depths.
+function jumpOf(rows, a, b) {
+  const between = rows.map(row => row.map(n => clamp(n, Math.min(a, b), Math.max(a, b))));
+  const steps = between.flatMap((row, y) => row.flatMap((n, x) => [n - row[x + 1], n - between[y + 1]?.[x]]));
+  return Math.max(0, ...steps.map(Math.abs).filter(step => step >= 0));
 }
 
 // Which note is added to the sentence.
-function noteOf({ k, kind, rival }) {
+function noteOf({ k, kind, rival, index }) {
   if (kind === "weak") return Number.isNaN(bound(k)) ? "" : "nearest";
   if (!["decided", "either", "elsewhere"].includes(kind) || !rival) return "";
-  const off = depthsAround(k).map(n => Math.abs(n - rival.sphere) / toleranceOf(n)).sort((a, b) => a - b);
-  if (off[Math.floor(off.length / 10)] <= R.beside) return "edge";
+  const around = depthsAround(k), known = around.flat().filter(n => !Number.isNaN(n));
+  const off = known.map(n => Math.abs(n - rival.sphere) / toleranceOf(n)).sort((a, b) => a - b);
+  if (off[Math.floor(off.length / 10)] <= R.beside)
+    return jumpOf(around, index, rival.sphere) > R.jump * toleranceOf(index) ? "edge" : "";
   return off[0] > R.nowhere ? "look-alike" : "";
 }
 
