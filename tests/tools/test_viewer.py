@@ -444,9 +444,12 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
     page.set_input_files("#beside input", file)
     page.wait_for_function("!$('sides').hidden")
     assert page.inner_text("#sidesWords") == "Left of the line a <box>, right another"
-    in_mode(page, "flat")
+    for mode in ("points", "surfaces"):  # which show the own run alone
+        assert not in_mode(page, mode).locator("#sides").is_visible()
+    assert in_mode(page, "flat").locator("#sides").is_visible()
     k = 20 * 160 + 80
     press(page, place_of(page, point_of(depth, 20, 80)))
+    assert page.inner_text("#sentence") == "a <box>: " + page.evaluate("sentenceOf(why)")
     told = re.search(r"the other run ([\d.]+) m", page.inner_text("#readout"))
     assert float(told[1]) == pytest.approx(1 / page.evaluate(f"other.inverse[{k}]"), abs=0.01)
     assert page.evaluate(f"other.inverse[{k}]") == pytest.approx(

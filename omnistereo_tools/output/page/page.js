@@ -51,6 +51,7 @@ function draw() {
 function drawNow() {
   renderer.draw(seen(), settings());
   drawMarks();
+  $("sides").hidden = !other || outside();  // between points and surfaces there is no line
   clearTimeout(storing);
   storing = setTimeout(storeState, 200);
   document.body.dataset.drawn = mode();
@@ -160,7 +161,7 @@ function showWhy(k) {
   if (!D.cameras?.length) return;
   why = explain(k);
   $("why").hidden = false;
-  $("sentence").textContent = sentenceOf(why);
+  $("sentence").textContent = (other ? `${nameOf(D)}: ` : "") + sentenceOf(why);
   $("bar").textContent = [withBar(k), boundWords(k), secondWords(k)].filter(Boolean).join("; ");
   $("tilt").textContent = tiltWords(why);
   $("along").max = D.spheres - 1;
@@ -381,10 +382,10 @@ async function showBeside(run) {
     trust: Uint8Array.from(at, k => k < 0 ? 0 : theirTrust ? theirTrust[k] : 100),
   };
   renderer.showOther(other);
-  $("sides").hidden = false;
   $("sidesWords").textContent = `Left of the line ${nameOf(D)}, right ${nameOf(run)}`;
   $("mix").value = 100;
   if (outside()) document.querySelector("input[value=look]").checked = true;
+  if (!$("why").hidden) showWhy(why.k);
   showWords();
   draw();
 }
