@@ -60,7 +60,7 @@ def _missing(file: Path) -> OmnistereoError:
     return OmnistereoError(
         f"{file} has no function `depth`; expected `def depth(images, cameras, grid)`, which"
         " returns sphere indices (H, W). The checkers write such a file once the functions of"
-        " notebooks 01 to 05 are right"
+        " notebooks 01, 03, 04 and 05 are right"
     )
 
 
