@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _SETS = ("rig", "sets", "data")
 READ = (
     *("images", "from_images", "source", "folder", "board", "weights", "init_weights"),
-    *("recording", *_SETS),
+    *("recording", "beside", *_SETS),
 )
 # of such a folder
 _CONTENT = ("*", "cam[0-9]*/*", "*depth_*/*", "confidence_*/*")

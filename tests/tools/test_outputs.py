@@ -29,7 +29,8 @@ FILES = {
         ("boards/cam1/1.png", "boards/cam2/1.png", "rig/config.yaml", "rig/report.txt"), "image"
     ),
     **dict.fromkeys(
-        ("run/weights.safetensors", "tables/results.json", "network/run_onnx.py"), "text"
+        ("run/index.html", "run/weights.safetensors", "tables/results.json", "network/run_onnx.py"),
+        "text",
     ),
 }
 FRAME = "depth --rig rig.yaml --images 1.tiff 2.png 3.png"
@@ -42,6 +43,7 @@ COMMANDS = [
     "depth --rig rig.yaml --images 1.ply 2.png --mesh 1.ply",
     "depth --rig rig.yaml --images 1.las 2.png --las 1.las",
     "depth --rig rig.yaml --images overview.png 2.png --out .",
+    "depth --rig rig.yaml --images 1.tiff 2.png --beside run --out run",
     "depth --rig rig.yaml --images data/points.png 2.png --out .",
     "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",
     "depth --rig crops/transforms.json --images 1.tiff 2.png --crops crops",
