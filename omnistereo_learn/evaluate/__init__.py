@@ -1,20 +1,8 @@
-"""The table of the paper on any data: `methods`, `regions` of rays, `run` and resume, `table`."""
+"""The table of the paper on any data: `methods`, `regions` of rays, `run` and resume, `table`.
 
-from omnistereo_learn.evaluate.methods import ABLATIONS, METHODS, select_methods
-from omnistereo_learn.evaluate.run import SCALES, Evaluation, Scale, evaluate_frame, find_sets
-from omnistereo_learn.evaluate.table import Table, errors_table, regions_table, write_results
+The public names are listed in `__init__.pyi`; each is imported on first use.
+"""
 
-__all__ = [
-    "ABLATIONS",
-    "METHODS",
-    "SCALES",
-    "Evaluation",
-    "Scale",
-    "Table",
-    "errors_table",
-    "evaluate_frame",
-    "find_sets",
-    "regions_table",
-    "select_methods",
-    "write_results",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
