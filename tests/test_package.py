@@ -155,14 +155,15 @@ import omnistereo_lib as osl
 from course.classroom.doctor import doctor
 from course.exercises import nb01, nb02, nb03, nb04, nb05
 from course.figures import drawings, plot, uncertainty
-from omnistereo_rigs import Checkerboard, calibrate_camera, calibrate_rig, doctor as rig_doctor
+from omnistereo_rigs import Checkerboard, calibrate_camera, calibrate_rig
 from omnistereo_rigs.boards import captures, detect
+from omnistereo_rigs.doctor import rig_check
 osl.load_dataset, osl.load_rig, osl.SphereGrid
 """
 
 
 def test_notebooks_start_without_what_finds_depth():
-    heavy = "{'torch', 'numba', 'psutil', 'simplejpeg', 'pyvista'}"
+    heavy = "{'torch', 'numba', 'psutil', 'simplejpeg', 'pyvista', 'scipy.stats'}"
     assert run(f"import sys{FIRST_CELLS}print({heavy} & set(sys.modules))") == "set()"
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri  # `chi2.isf` of scipy.stats, which is slow to import
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import Frame, check_images
@@ -421,7 +421,7 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
     white = whitening(measured.covariance)
     z = white @ differences.ravel()
     total = float(z @ z)
-    if total < chi2.isf(_BY_CHANCE, len(z)):
+    if total < chdtri(len(z), _BY_CHANCE):
         return ()
     count = len(rig)
     # Greedily: free the camera whose free pose leaves least of χ², until chance or a tenth of it is
@@ -437,7 +437,7 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
         best = min(left, key=left.__getitem__)
         chosen.append(best)
         if count == 2 or left[best] < max(
-            chi2.isf(_BY_CHANCE, max(len(z) - 6 * len(chosen), 1)), 0.1 * total
+            chdtri(max(len(z) - 6 * len(chosen), 1), _BY_CHANCE), 0.1 * total
         ):
             return tuple(sorted(chosen))
     return tuple(range(count))
