@@ -215,6 +215,17 @@ def test_a_tap_that_opens_the_explanation_operates_nothing_that_slides_under_the
     page.set_viewport_size(dict(zip(("width", "height"), SIZES["phone"], strict=True)))
 
 
+@pytest.mark.parametrize("width", [320, 350])
+def test_the_views_are_in_one_row_within_the_page_of_a_telephone(pages, width):
+    page = begun(pages["phone"])
+    page.set_viewport_size({"width": width, "height": 600})
+    boxes = [one.bounding_box() for one in page.locator(".pick > :is(label, button)").all()]
+    assert len(boxes) == 5 and len({round(box["y"]) for box in boxes}) == 1
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= width for box in boxes)
+    assert all(a["x"] + a["width"] <= b["x"] for a, b in pairwise(boxes))
+    page.set_viewport_size(dict(zip(("width", "height"), SIZES["phone"], strict=True)))
+
+
 def test_the_first_view_is_not_magnified_by_more_than_two(page, data):
     assert page.evaluate("focal()") * np.pi / 180 <= 2 * data[
         "pixelsPerDegree"
@@ -426,6 +437,18 @@ def test_what_the_page_saves_is_read_by_others(depth, desktop, tmp_path, name):
     if name == "Mesh":
         away = (found.face_normals * found.triangles_center).sum(-1) > 0
         assert found.area_faces[away].sum() < 0.01 * found.area  # slivers along larger squares
+
+
+def test_surfaces_begin_with_the_picture_until_the_reader_mixes(open_page, written):
+    page, mix = shown(open_page(*SIZES["desktop"]), written), "+$('mix').value"
+    for mode, first in (("surfaces", 0), ("look", 50), ("points", 0), ("flat", 50)):
+        page.click(f"label:has([value={mode}])")
+        assert page.evaluate(mix) == first
+    assert page.inner_text("#leastWords") == "hide doubtful (gray): none"
+    page.fill("#mix", "30")
+    page.click("#fly")
+    assert page.evaluate(mix) == 30 and page.inner_text("#mixWords").startswith("70 % picture")
+    assert page.complaints == []
 
 
 def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp_path):

@@ -383,6 +383,7 @@ async function showBeside(run) {
   };
   renderer.showOther(other);
   $("sidesWords").textContent = `Left of the line ${nameOf(D)}, right ${nameOf(run)}`;
+  mixed = true;
   $("mix").value = 100;
   if (outside()) document.querySelector("input[value=look]").checked = true;
   if (!$("why").hidden) showWhy(why.k);
@@ -422,6 +423,7 @@ function land() {
 
 $("fly").onclick = () => {
   document.querySelector("input[value=surfaces]").checked = true;
+  mixAnew();
   if (calm.matches) return flyTo(++station / STATIONS);
   if (flight) return land();
   const begin = performance.now(), next = now => {
@@ -454,13 +456,21 @@ $("reset").onclick = () => {
 
 // The trust below which rays fade: of the steps of the slider, the first shows all.
 const ODDS = [0, 6, 7, 8, 9];  // of ten
+// At first surfaces and points have the colours of the picture, until the reader mixes.
+let mixed = false;
+function mixAnew() {
+  if (!mixed) $("mix").value = outside() ? 0 : $("mix").dataset.first;
+  showWords();
+  draw();
+}
+
 const leastTrust = () => 10 * ODDS[$("least").value];
 
 function showWords() {
   const mixed = +$("mix").value, odds = ODDS[$("least").value];
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
   const share = trust.reduce((count, value) => count + (value >= leastTrust()), 0) / trust.length;
-  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful: none";
+  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful (gray): none";
 }
 
 // The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
@@ -480,15 +490,16 @@ function sweepOnce() {
 }
 
 $("divide").oninput = draw;
-for (const name of ["mix", "least"]) $(name).oninput = () => { showWords(); draw(); };
+for (const name of ["mix", "least"]) $(name).oninput = () => { mixed ||= name === "mix"; showWords(); draw(); };
 $("layer").onchange = () => {
+  mixed = true;
   if (+$("mix").value === 0) $("mix").value = 100;
   showWords();
   showScale();
   draw();
 };
 dark.onchange = draw;
-document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = draw; });
+document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = mixAnew; });
 
 let ticks, labels;
 function showScale() {
@@ -541,6 +552,8 @@ function readState() {
   for (const name of ANGLES) if (Number.isFinite(parseFloat(state.get(name)))) view[name] = parseFloat(state.get(name));
   const chosen = document.querySelector(`input[value="${CSS.escape(state.get("mode") ?? "")}"]`);
   (chosen ?? document.querySelector(`input[value=${D.mode}]`)).checked = true;
+  mixed = state.has("mix");
+  mixAnew();
   for (const k of (state.get("rays") ?? "").split(" ").slice(0, 2)) if (k && k in steps) pick(+k);
 }
 
