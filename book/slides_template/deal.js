@@ -7,11 +7,7 @@ document.addEventListener("DOMContentLoaded", async () => {
   const pieces = [...slides.querySelectorAll(".jp-Cell")].flatMap((cell) => {
     const text = cell.matches(".jp-MarkdownCell") ? ".jp-MarkdownOutput > *" : ".jp-Cell-inputWrapper, .jp-OutputArea-child"
     const parts = [...cell.querySelectorAll(text)]
-    for (const part of parts) {
-      if (part.localName !== "details") continue
-      part.open = true
-      part.classList.add("fragment")
-    }
+    for (const part of parts) if (part.localName === "details") part.open = true
     return parts
   })
   let column, page
@@ -44,6 +40,8 @@ document.addEventListener("DOMContentLoaded", async () => {
         Object.assign(piece.style, { zoom: Math.max(0.7, fits), display: "block", minHeight: 0, overflowY: "auto" })
       }
     }
+    // A solution alone on a slide is what its step shows: the slide would be empty before.
+    for (const piece of pieces) if (piece.localName === "details") piece.classList.toggle("fragment", piece !== piece.parentNode.firstChild)
     return slides.querySelectorAll("section > section").length
   }
   slides.classList.add("dealing")

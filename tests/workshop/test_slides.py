@@ -152,6 +152,8 @@ def test_no_slide_overflows(shown, open_page, path):
     # left sooner than they could load
     assert [said for said in page.complaints if "/views/" not in said] == []
     assert page.evaluate("Reveal.getTotalSlides()") <= 25
+    bare = "slide => [...slide.children].every(piece => piece.matches('.fragment'))"
+    assert page.evaluate(f"Reveal.getSlides().filter({bare}).length") == 0
 
 
 def opened(shown, open_page, stem):
