@@ -71,7 +71,7 @@ class ColorScale:
         return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._grid)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Return places in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
+        """Return places in [0, 1] and labels in metres, far to near, at least a tenth apart."""
         depths = [
             np.inf,
             *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1)),
@@ -79,7 +79,7 @@ class ColorScale:
         chosen: list[tuple[float, str]] = []
         for depth in depths:
             at = (1 / depth - self.low) / (self.high - self.low)
-            if -1e-6 <= at <= 1 and (not chosen or at - chosen[-1][0] > 1 / 20):
+            if -1e-6 <= at <= 1 and (not chosen or at - chosen[-1][0] > 1 / 10):
                 chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
         return chosen
 

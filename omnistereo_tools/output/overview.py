@@ -111,7 +111,9 @@ class _Page:
         for down in range(30 * int(np.ceil(first / 30)), int(last) + 1, 30):
             self.write((left - 8, top + scale * (down - first)), f"{-down}°", "rm")
         for azimuth in range(-180, 181, 45):
-            self.write((left + scale * (azimuth + 180), top + height + 6), f"{azimuth}°", "mt")
+            # The first one begins at the edge: beside it may be the lowest elevation.
+            anchor = {-180: "lt", 180: "rt"}.get(azimuth, "mt")
+            self.write((left + scale * (azimuth + 180), top + height + 6), f"{azimuth}°", anchor)
         return top + height + 50
 
     def write(self, place: tuple[float, float], text: str, anchor: str, size: int = _TEXT) -> int:

@@ -69,7 +69,7 @@ def depth_sentences(
         ),
         *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),
         (
-            f"The point cloud and the mesh use {int(keep.sum())} rays. Left out: {far} beyond"
+            f"The point cloud uses {int(keep.sum())} rays. Left out: {far} beyond"
             f" {metres(limits.max_depth)} (--max-depth)."
         ),
     ]

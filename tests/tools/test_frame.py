@@ -3,18 +3,20 @@
 import re
 import warnings
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 import scene
 import tifffile
-from PIL import Image
+from PIL import Image, ImageFont
 from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.pictures import read_pixels, write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
+from omnistereo_tools.output import overview
 from omnistereo_tools.output.colors import BACKGROUND, ColorScale
 from omnistereo_tools.output.frame import FrameResult
 from omnistereo_tools.output.points import Limits, PointCloud, draw_points
@@ -96,7 +98,7 @@ def test_the_sentences_say_what_was_found(depth):
     assert re.search(
         rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first
     )
-    assert f"use {depth.valid.sum()} rays. Left out: 0 beyond" in second
+    assert f"uses {depth.valid.sum()} rays. Left out: 0 beyond" in second
     nearest = truth.min()
     assert (0.8 * nearest > 1.2 * GRID.min_depth) == bool(hints)
     exact, _ = error_sentences(depth, scene.true_index(scene.rig(width=200, height=192), GRID))
@@ -124,7 +126,7 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     assert second.startswith("Of the nearest tenth of rays, up to ")
     assert "100 % are doubtful" in second
     assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
-    assert f"use {depth.valid.sum()} rays" in third
+    assert f"uses {depth.valid.sum()} rays" in third
 
 
 def test_a_depth_that_is_the_same_all_around_is_not_good(depth):
@@ -144,7 +146,7 @@ def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
     result.write(tmp_path)
     _, first, *_, second = result.sentences()
     assert "the nearest thing is unknown away" not in first and "no ray is within" in first
-    assert f"use 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
+    assert f"uses 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
     assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()
 
 
@@ -169,6 +171,27 @@ def test_the_colours_span_the_depths_found():
     )
     brightness = scale.bar(256)[0].sum(-1)
     assert (np.diff(brightness.astype(int)) >= -3).all() and brightness[-1] > 600
+
+
+@pytest.mark.parametrize("nearest", [0.07, 0.6, 1.65, 12])
+def test_no_letters_of_the_overview_touch(monkeypatch, pictures, rig, nearest):
+    boxes = []
+
+    def write(page, place, text, anchor, size=overview._TEXT):
+        font = ImageFont.truetype(page._font, size)
+        boxes.append((text, page._draw.textbbox(place, text, font, anchor)))
+        return int(boxes[-1][1][3])
+
+    monkeypatch.setattr(overview._Page, "write", write)
+    grid = osl.SphereGrid(160, 80, (-90, 90), num_spheres=64, min_depth=nearest)
+    index = np.broadcast_to(np.linspace(0, 63, 160, dtype=np.float32), grid.shape)
+    found = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), pictures)
+    panorama = np.zeros((80, 160, 3), np.uint8)
+    overview.draw_overview(found, panorama, np.ones_like(index), "title", ["Good", "A note."])
+    assert len(boxes) > 20
+    for (a, (left, top, right, bottom)), (b, other) in combinations(boxes, 2):
+        apart = right + 4 <= other[0] or other[2] + 4 <= left
+        assert apart or bottom <= other[1] or other[3] <= top, (a, b)
 
 
 def test_near_points_hide_far_ones():
