@@ -171,7 +171,9 @@ def _write(
     drift, holes = frames.drift(poses), frames.holes_percent(volume, poses)
     sentences = [
         f"{doubtful:.0f} % of rays are doubtful, and count little.",
-        f"{holes:.0f} % of what is seen within {options.range:g} m has no surface.",
+        f"{holes:.0f} % of what is seen within {options.range:g} m has no surface."
+        if round(holes)
+        else f"All that is seen within {options.range:g} m has a surface.",
         f"The path is {length:.1f} m long; where it returns it is off by {drift:.2f} m."
         if drift is not None
         else f"The path is {length:.1f} m long; its drift is unknown, as it does not return.",
