@@ -108,6 +108,8 @@ def test_every_picture_says_what_it_shows(pages):
 def test_the_front_page_has_the_viewer_and_a_figure_of_each_notebook(built):
     front = (built[0] / "index.html").read_text(encoding="utf-8")
     assert front.index("<h1>omnistereo") < front.index('<iframe class="view" src="street.html"')
+    assert '<a href="#the-notebooks">the notebooks</a>' in front and 'id="the-notebooks"' in front
+    assert "A code host" not in front and "A code host" in website.README.read_text("utf-8")
     cards = front.split('<div class="card">')[1:]
     assert len(cards) == len(nbtools.notebooks())
     for card, path in zip(cards, nbtools.notebooks(), strict=True):

@@ -123,6 +123,7 @@ def front_page(text: str, extra: Path, address: str | None) -> str:
     text = text.replace("\n## Start", f"\n{viewer}\n\n## Start", 1)
     shown = f'<div class="cards">\n{cards(extra, address)}\n</div>\n'
     text = re.sub("(?s)<!-- notebooks -->.*<!-- /notebooks -->", lambda _: shown, text)
+    text = re.sub(r" A code host shows its source: [^.]*\.", "", text)
     return text.replace("ADDRESS", address) if address else text
 
 
@@ -195,6 +196,7 @@ def with_links(text: str) -> str:
         r"\]\((omnistereo_(?:lib|rigs|learn))/(\w+)(\.py)?\)", r"](reference/\1.\2.md)", text
     )
     text = re.sub(r"\[([^]]+)\]\(street\.html\)", r'<a href="street.html">\1</a>', text)
+    text = re.sub(r"\[([^]]+)\]\(notebooks\)", r'<a href="#the-notebooks">\1</a>', text)
     # What the website has no page of: folders, and files beside the pages.
     beside = r"LICENSE|CITATION\.cff|CONTRIBUTING\.md|(?:\w+/)*[a-z_]+/?"
     return re.sub(rf"\[([^]]+)\]\((?:{beside})\)", r"\1", text)
