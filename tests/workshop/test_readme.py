@@ -1,6 +1,7 @@
 """The pages of Markdown: lists and pictures as they are made, links that work on a code host."""
 
 import base64
+import json
 import re
 import shutil
 import zlib
@@ -96,6 +97,8 @@ def test_its_viewer_is_what_omnistereo_depth_writes():
     page = readme.STREET.read_text(encoding="utf-8")
     data = readme.data_of(page)
     assert viewer.page_of(data) == page, "python -m workshop pages"
+    told = json.loads(json.dumps(readme.for_the_page()))  # what its script explains a ray by
+    assert data["ray"] == told, "python -m workshop pages"
     sample = osl.load_dataset("omnistereo_lib/sample")
     grid = osl.SphereGrid(
         640, 320, phi_deg=(-90, 90), num_spheres=192, min_depth=sample.rig.min_depth

@@ -22,6 +22,7 @@ from omnistereo_lib.files import write_text
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
+from omnistereo_tools.judge.ray import for_the_page
 from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.points import Limits
@@ -59,7 +60,7 @@ def update_pictures() -> None:
             cli.main(["depth", "--out", folder])
             page = Path(folder, "index.html").read_text(encoding="utf-8")
     else:  # the same depth on the page as it is now
-        page = page_of(data_of(STREET.read_text(encoding="utf-8")))
+        page = page_of(data_of(STREET.read_text(encoding="utf-8")) | {"ray": for_the_page()})
     write_text(STREET, page)
 
 
