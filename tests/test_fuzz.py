@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
+import scene
 import torch
 import yaml
 from learn.tiny import MCCNN as RECIPE
@@ -202,7 +203,7 @@ def check_answer(answer):
     assert status in (200, 400, 403, 404, 405, 408, 414, 431, 501, 505) or status is None
     assert (
         status != 200
-        or body in (b"", b"no depth here", b"2 m along the ray")
+        or body in (b"", b"no depth here", b"2.00 m along the ray")
         or b"<!doctype html>" in body
     )
 
@@ -337,7 +338,7 @@ def live_page(address):
     """A request to the live view, and how it is answered: the status, None without one, and the
     content."""
     port = urlsplit(address).port
-    request = b"GET /depth?0.5&0.1 HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n"
+    request = b"GET /depth?0.5&0.8 HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n"
 
     def ask(path):
         with socket.create_connection(("127.0.0.1", port), 60) as client:
@@ -394,7 +395,9 @@ def records():
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory):
     folder, latest = tmp_path_factory.mktemp("fuzz"), Latest()
-    latest.put(LivePicture(b"", np.full((2, 4), 2.0), 0.4))
+    sweep = osl.SphereSweep(scene.rig(), osl.SphereGrid(32, 8, num_spheres=4, min_depth=1.0))
+    two_metres = np.full(sweep.grid.shape, sweep.grid.depth_to_index(2.0), np.float32)
+    latest.put(LivePicture(b"", osl.Depth(two_metres, np.ones_like(two_metres), sweep, ())))
     with serve(latest) as address:
         yield folder, samples(folder) | live_page(address)
 
