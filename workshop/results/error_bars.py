@@ -32,6 +32,7 @@ from omnistereo_lib.stereo.error_bars import (
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
+from workshop.render.image_sets import renew_manifest
 
 DATA = Path("data_samples")
 WEIGHTS = Path(error_bars.__file__).with_suffix(".json")
@@ -108,6 +109,7 @@ def run(out: Path, methods: list[str] | None = None) -> None:
     stored["measured"] = f"{WIDTH} x {HEIGHT} x {SPHERES}, fitted on {_text(FITTED)}"
     write_text(WEIGHTS, json.dumps(stored, indent=1) + "\n")
     write_text(RESULTS, json.dumps(results, indent=1) + "\n")
+    renew_manifest(DATA)
 
 
 def _text(frames: Mapping[str, tuple[int, ...]]) -> str:

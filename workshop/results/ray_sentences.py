@@ -24,6 +24,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_tools.judge.ray import FLAT, NOTES, SENTENCES, Ray, explain, tolerance
+from workshop.render.image_sets import renew_manifest
 from workshop.results.error_bars import DATA, HEIGHT, JUDGED, SPHERES, WIDTH
 
 RESULTS = DATA / "results" / "ray_sentences.json"
@@ -67,6 +68,7 @@ def run(rays: int) -> None:
         },
     }
     write_text(RESULTS, json.dumps(results, indent=1) + "\n")
+    renew_manifest(DATA)
     print(table())
 
 
