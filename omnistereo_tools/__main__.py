@@ -1,7 +1,6 @@
 """`omnistereo COMMAND` and `python -m omnistereo_tools COMMAND`."""
 
 import gc
-import os
 import signal
 
 
@@ -10,9 +9,6 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
-    # Before torch: its threads would spin while they wait, and beside other work wait for each
-    # other (`depth` on two cores with a load of 20: 13 s of the processor, and 3 s so).
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         from omnistereo_tools.cli import main
         from omnistereo_tools.memory import keep_memory
