@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scene import refused
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.metrics import reliability, sparsification
+from omnistereo_lib.stereo.metrics import sparsification
 
 maps = arrays(
     np.float32, (3, 4), elements=st.one_of(st.floats(-5, 200, width=32), st.just(math.nan))
@@ -62,20 +62,3 @@ def test_sparsification_curve_by_hand():
 def test_sparsification_of_nothing(error):
     curve, *aucs = sparsification(error, np.ones(len(error)))
     assert np.isnan(curve).all() and np.isnan(aucs).all()
-
-
-def test_the_reliability_diagram_shows_where_error_bars_are_wrong():
-    rng = np.random.default_rng(0)
-    bar = np.repeat([1.0, 3.0], 20_000)
-    error = rng.normal(0, np.where(bar == 1, 1.0, 6.0))  # the wide ones are half as wide as needed
-    order = rng.permutation(len(bar))
-    stated, found, within = reliability(error[order], bar[order], bins=2)
-    np.testing.assert_allclose(stated, [1, 3])
-    np.testing.assert_allclose(found, [1, 6], rtol=0.03)
-    assert within == pytest.approx((0.683 + 0.383) / 2, abs=0.01)  # 0.383 are within half a σ
-    known = reliability([*error, np.nan], [*bar, 1.0])[2]
-    assert known == within
-    with refused("no ray"):
-        reliability([np.nan], [1.0])
-    with refused("2 errors and 1 error bars"):
-        reliability([1.0, 2.0], [1.0])
