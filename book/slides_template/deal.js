@@ -3,7 +3,9 @@
 // begins a column. A piece taller than a slide shrinks, and one much taller scrolls.
 document.addEventListener("DOMContentLoaded", async () => {
   await window.MathJax.startup.promise
-  const slides = document.querySelector(".slides"), [width, height] = [1280, 720]
+  const slides = document.querySelector(".slides")
+  const [width, height] = innerWidth < 600 ? [600, 1200] : [1280, 720] // a telephone is upright
+  for (const [name, size] of Object.entries({ width, height })) slides.style.setProperty(`--${name}`, `${size}px`)
   const pieces = [...slides.querySelectorAll(".jp-Cell")].flatMap((cell) => {
     const text = cell.matches(".jp-MarkdownCell") ? ".jp-MarkdownOutput > *" : ".jp-Cell-inputWrapper, .jp-OutputArea-child"
     const parts = [...cell.querySelectorAll(text)]
@@ -47,5 +49,5 @@ document.addEventListener("DOMContentLoaded", async () => {
   slides.classList.add("dealing")
   for (const least of [260, 200, 140]) if (deal(least) <= 25) break
   slides.classList.remove("dealing")
-  Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none" })
+  Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none", scrollActivationWidth: 0 })
 })

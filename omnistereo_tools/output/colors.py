@@ -13,6 +13,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 
 BACKGROUND = 0x20  # colours stand out, and what no camera sees does not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
+_GAMMA = 0.6
 
 
 def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
@@ -63,12 +64,14 @@ class ColorScale:
         self, inverse_depth: NDArray[Any], doubtful: NDArray[Any] | None = None
     ) -> NDArray[np.uint8]:
         """Return inverse depth (H, W) in colours, (H, W, 3) RGB, doubtful rays faded."""
-        colors = colorize_depth(inverse_depth - self.low, self._grid)
+        level = (inverse_depth - self.low) / (self.high - self.low)
+        # Gamma brightens what is far: by inverse depth all beyond some ten metres would be black.
+        colors = colorize_depth(np.clip(level, 0, 1) ** _GAMMA, SphereGrid(2, 2, min_depth=1.0))
         return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
     def bar(self, width: int) -> NDArray[np.uint8]:
         """Return the colours from `low` to `high` as a picture of one row, (1, width, 3) RGB."""
-        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._grid)
+        return self.colorize(np.linspace(self.low, self.high, width)[None])
 
     def ticks(self) -> list[tuple[float, str]]:
         """Return places in [0, 1] and labels in metres, far to near, at least a tenth apart."""
@@ -82,8 +85,3 @@ class ColorScale:
             if -1e-6 <= at <= 1 and (not chosen or at - chosen[-1][0] > 1 / 10):
                 chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
         return chosen
-
-    @property
-    def _grid(self) -> SphereGrid:
-        """A grid, of which `colorize_depth` reads the nearest depth only."""
-        return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))

@@ -147,7 +147,8 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
 def written(nb: NotebookNode, script: Path) -> Iterator[NotebookNode]:
     """Yield the cells of slides that were written: an idea, a sentence, what there is to see."""
     first = nb.cells[0].source.partition("\n")[0]
-    yield new_markdown_cell(f"{first}\n\n{nb.metadata['omnistereo']['learn']}")
+    learn = nb.metadata["omnistereo"]["learn"]
+    yield new_markdown_cell(f"{first}\n\nYou will {learn}.\n\n{first_picture(nb)}")
     solutions = folded_solutions(nb)
     for slide in yaml.safe_load(script.read_text(encoding="utf-8")):
         formula = f"\n\n$$ {slide['formula']} $$" if "formula" in slide else ""

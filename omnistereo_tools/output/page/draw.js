@@ -8,8 +8,8 @@ const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.ab
 
 // A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
 // NAMING writes the number of the ray in place of its colour; MIXED shows depth in the picture; THIN leaves out rays
-// that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS have one
-// colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
+// that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS are discs
+// of one colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
 const SHADE = `
 precision highp float;
 uniform sampler2D picture, colors, trusts;
@@ -57,7 +57,7 @@ vec4 shade(vec2 at, vec3 seen, bool fades) {
   vec3 found = surfaces(at, LAYER == 1, seen);
   vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
   // Half blended, the picture keeps most of its light: what is far is dark in the colours of depth.
-  seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(0.5), 0.65 * doubt) * mixed, 1.0);
+  seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(dot(depth, vec3(0.3, 0.6, 0.1))), 0.85 * doubt) * mixed, 1.0);
 #endif
   if (fades) seen = mix(seen, paper, 0.4 * doubt);
 #ifdef THIN
@@ -108,34 +108,37 @@ const OUTSIDE = {
   vertex: SHADE + `
     layout(location = 0) in vec2 ray;        // column and row
     layout(location = 1) in vec4 direction;  // and the inverse depth along it
-    layout(location = 2) in float fringe;    // at an edge in depth 1 the near side, 2 the far side; of a ray, see below
+    layout(location = 2) in float fringe;    // at an edge in depth 1 the near side, 2 the far side
     uniform vec2 view;
     uniform mat3 axes;
-    uniform float focal, behind, pointSize, nearest;
+    uniform float focal, behind;
     out vec2 at;
-    out float rim;
-    flat out vec4 tint;
+    out float rim, depth;
     void main() {
       at = ray;
       rim = fringe;
+      depth = direction.w;
       vec3 d = axes * direction.xyz + vec3(0, 0, direction.w * behind);
       gl_Position = vec4(2.0 * focal / view * vec2(d.x, -d.y), d.z - 2.0 * 0.02 * behind * direction.w, d.z);
-#ifdef POINTS
-      gl_PointSize = clamp(pointSize * fringe * focal / d.z, 1.0, 40.0);
-      tint = shade(at, textureLod(picture, at / size, 0.0).rgb, true);
-      if (direction.w < nearest || tint.a < 0.02) gl_Position = vec4(2, 2, 2, 1);
-#endif
     }`,
   fragment: SHADE + `
     in vec2 at;
-    in float rim;
-    flat in vec4 tint;
+    in float rim, depth;
+    uniform float nearest;
     out vec4 color;
     void main() {
-#if defined(NAMING) && !defined(RIM)
+#ifdef POINTS
+      // A disc on the surface around each ray. Those that are smaller than a pixel or two leave no gaps between them.
+      vec2 ray = floor(at) + 0.5;
+      float here = texelFetch(rays, ivec2(mod(ray.x, size.x), clamp(ray.y, 0.0, size.y - 1.0)), 0).x;
+      float many = max(length(dFdx(at)), length(dFdy(at))), radius = mix(0.5, 0.75, smoothstep(0.15, 0.5, many));
+      bool same = max(here, depth) <= ${EDGE} * min(here, depth) || abs(here - depth) <= edge;
+      vec4 tint = shade(ray, textureLod(picture, ray / size, log2(float(textureSize(picture, 0).x) / size.x)).rgb, true);
+      if (!same || depth < nearest || length(at - ray) > radius || tint.a < 0.02) discard;
+#endif
+#if defined(NAMING) && (defined(POINTS) || !defined(RIM))
       color = name(at);
 #elif defined(POINTS)
-      if (dot(gl_PointCoord - 0.5, gl_PointCoord - 0.5) > 0.25) discard;
       color = tint;
 #else
       vec4 shown = shade(at, texture(picture, at / size).rgb, true);
@@ -152,7 +155,7 @@ const OUTSIDE = {
       if (shown.a < 0.02) discard;
 #endif
 #ifdef VEIL
-      shown = vec4(mix(paper, shown.rgb, 0.3), 1);
+      shown = vec4(mix(paper, shown.rgb, 0.15), 1);
 #endif
       color = shown;
 #endif
@@ -169,11 +172,6 @@ function makeMesh(known) {
     for (let column = 0; column < across; column++)
       vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), inverse(rayAt(column, row)) || 0, 1));
   const depths = Float64Array.from({ length: across * rows }, (_, i) => vertices[FLOATS * i + 5]);
-  // Rays that graze a surface meet it far from each other: their points are as large as that, in gaps between rays.
-  for (let i = across; i < across * (rows - 1); i++) {
-    const steps = [i - across, i + across].filter(j => sameSurface(depths[i], depths[j])).map(j => Math.abs(depths[j] - depths[i]) / depths[i]);
-    vertices[FLOATS * i + 6] = clamp(Math.max(...steps, 0) / radiansPerRow, 1, WIDEST_POINT);
-  }
   // Of each cell whether its corners are known, 1, and show one surface, 2.
   const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows), veil = [];
   for (let row = 0; row + 1 < rows; row++)
@@ -197,7 +195,6 @@ function makeMesh(known) {
   return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()), veil: Uint32Array.from(veil) };
 }
 
-const WIDEST_POINT = 3;  // gaps between rays
 const LARGEST = 8, FLAT_SPHERES = 0.5;  // cells along a block; how far a ray in it may be from its corners' surface
 
 const cornersOf = (i, side, across) => [i, i + side, i + side * across, i + side * across + side];
@@ -263,7 +260,7 @@ function extended(vertices, corners, on, fringe) {
 function makeRenderer(canvas, picture, mesh) {
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
   if (!gl) return null;
-  const [surface, fifth] = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
+  const surface = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
   const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl), trustTexture(gl)];
   let named = null, paired = false;  // the view whose names are in the target; whether there is another run
 
@@ -285,7 +282,7 @@ function makeRenderer(canvas, picture, mesh) {
       size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
       perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
       level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal) - SHARPER), axes: axesOf(view.turn),
-      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.6 : 1.9) * 2 * Math.PI / D.width, ...settings, ...view,
+      nearest: 1 / D.maxDepth, ...settings, ...view,
     };
     for (const [name, value] of Object.entries(values)) used.set(name, value);
   }
@@ -301,23 +298,17 @@ function makeRenderer(canvas, picture, mesh) {
   }
 
   function drawMesh(view, settings) {
-    const few = view.mode === "points" && settings.sparse, count = (D.width + 1) * (D.height + 2);
-    gl.bindVertexArray(few ? fifth : surface);
+    gl.bindVertexArray(surface);
     gl.enable(gl.DEPTH_TEST);
-    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, few ? Math.floor(count / 5) : count);
-    else {
-      gl.enable(gl.CULL_FACE);
-      gl.frontFace(gl.CW);
-      gl.drawElements(gl.TRIANGLES, mesh.opaque.length, gl.UNSIGNED_INT, 0);
-      if (!settings.naming) drawVeil(view, settings);
-      use(view, settings, "RIM");
-      gl.enable(gl.BLEND);
-      gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-      gl.drawElements(gl.TRIANGLES, mesh.fringe.length, gl.UNSIGNED_INT, 4 * mesh.opaque.length);
-      gl.disable(gl.BLEND);
-      gl.disable(gl.CULL_FACE);
-    }
-    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.CULL_FACE);
+    gl.frontFace(gl.CW);
+    gl.drawElements(gl.TRIANGLES, mesh.opaque.length, gl.UNSIGNED_INT, 0);
+    if (!settings.naming && view.mode === "surfaces") drawVeil(view, settings);
+    use(view, settings, "RIM");
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.drawElements(gl.TRIANGLES, mesh.fringe.length, gl.UNSIGNED_INT, 4 * mesh.opaque.length);
+    for (const used of [gl.BLEND, gl.CULL_FACE, gl.DEPTH_TEST]) gl.disable(used);
     gl.bindVertexArray(null);
   }
 
@@ -352,25 +343,20 @@ function makeRenderer(canvas, picture, mesh) {
   return { draw: (view, settings) => render(view, { ...settings, naming: false }), names, showOther };
 }
 
-// The vertices with their triangles, and every fifth vertex: of rows with one column more, not one above the other.
+// The vertices with their triangles.
 function upload(gl, { vertices, opaque, fringe, veil }) {
-  const buffer = gl.createBuffer();
-  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+  const array = gl.createVertexArray();
+  gl.bindVertexArray(array);
+  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
-  const made = [1, 5].map(every => {
-    const array = gl.createVertexArray();
-    gl.bindVertexArray(array);
-    [[2, 0], [4, 2], [1, 6]].forEach(([count, first], place) => {
-      gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, count, gl.FLOAT, false, 4 * FLOATS * every, 4 * first);
-    });
-    return array;
+  [[2, 0], [4, 2], [1, 6]].forEach(([count, first], place) => {
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, count, gl.FLOAT, false, 4 * FLOATS, 4 * first);
   });
-  gl.bindVertexArray(made[0]);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe, ...veil]), gl.STATIC_DRAW);
   gl.bindVertexArray(null);
-  return made;
+  return array;
 }
 
 function texture(gl, around, filter, smaller = filter) {

@@ -4,7 +4,7 @@
 const canvas = $("view");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
 const PRESS = matchMedia("(pointer: coarse)").matches ? "Tap" : "Click";
-const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.3, tilt: 0.6, distance: 0 };
+const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.2, tilt: 0.3, distance: 0 };
 const SLOW_MS = 70, COARSEST = 0.25;  // two frames that take longer; of the pixels along a side
 const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
 let view = { ...start }, renderer = null, picks = [], why = null;
@@ -19,7 +19,7 @@ const doubtful = k => trust[k] < D.doubtful;
 function focal() {
   const { clientWidth: w, clientHeight: h } = canvas, tallest = Math.min(Math.PI / 4, Math.max(...D.phi.map(Math.abs)));
   if (outside()) return 0.8 * Math.max(w, h);
-  if (mode() === "flat") return w / (2 * Math.PI) * view.zoom;
+  if (mode() === "flat") return (h > w ? 2 : 1) * w / (2 * Math.PI) * view.zoom;  // upright, half of it at first
   const sharp = MAGNIFIED * D.pixelsPerDegree * 180 / Math.PI;
   return Math.max(Math.min(h / 2 / Math.tan(tallest), sharp), w / 5.7) * view.zoom;
 }
@@ -36,7 +36,7 @@ function settings() {
   const paper = (dark.matches || outside() ? 0x20 : 0xfa) / 255;
   return {
     paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
-    layer: ["estimate", "truth", "error"].indexOf($("layer").value), sparse: detail < 1,
+    layer: ["estimate", "truth", "error"].indexOf($("layer").value),
     divide: $("divide").value * canvas.width,
   };
 }
@@ -584,7 +584,7 @@ function showPictureOnly() {
   renderer = makeRenderer(canvas, picture, makeMesh(known));
   if (!renderer) return showPictureOnly();
   const near = Float32Array.from([...steps.keys()].filter(k => known(k) && inverse(k) * D.maxDepth >= 1), k => 1 / inverse(k)).sort();
-  view.distance = start.distance = 1.6 * (near[Math.floor(0.6 * near.length)] || 1);
+  view.distance = start.distance = 2 * (near[Math.floor(0.6 * near.length)] || 1);
   readState();
   paintScale();
   showScale();
