@@ -161,9 +161,14 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
     typed = vars(known)
     module = COMMANDS[name := typed.pop("command")]
     if unknown:
-        flags = [flag(one.name) for one in fields(_options_of(module))]
-        similar = get_close_matches(unknown[0].partition("=")[0], flags, n=1)
+        # By the option, whether it has no flag.
+        options = {
+            flag(one.name): one.metadata.get("positional") for one in fields(_options_of(module))
+        }
+        similar = get_close_matches(wrong := unknown[0].partition("=")[0], options, n=1)
         guess = f". Did you mean {similar[0]}?" if similar else ""
+        if similar and options[similar[0]]:
+            guess = f". Leave out the word {wrong}, not what follows it"
         commands.choices[name].error(f"unrecognized arguments: {' '.join(unknown)}{guess}")
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in typed.items()

@@ -14,7 +14,7 @@ from omnistereo_tools.output.points import Limits
 GOOD, _MISFIT = 20.0, 50.0  # percent of rays that are doubtful, at most
 # percent of rays at one distance, within a sphere of 192; of rendered scenes at most 78 are
 _SAME = 95.0
-_FEW = 0.002  # of the rays: fewer are noise, not a thing
+_FEW = 0.002  # of the sphere: less is noise, not a thing
 _NEAR = 0.1  # of the rays
 _UNSEEN = 0.05  # of the rays: worth saying
 _NEARER = 0.9  # of a depth: worth saying
@@ -143,8 +143,16 @@ def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[floa
 
 
 def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
-    """Return the depth in metres than which 2 ‰ of the kept rays are nearer; NaN without any."""
-    return float(np.quantile(depth.depth[keep], _FEW)) if keep.any() else float("nan")
+    """Return the depth in metres than which 2 ‰ of what the kept rays cover is nearer; NaN without
+    any.
+
+    A ray covers cos φ: the rows at a pole have as many rays as others, and hardly any sphere.
+    """
+    if not keep.any():
+        return float("nan")
+    covered = np.broadcast_to(np.cos(depth.grid.phis())[:, None], keep.shape)[keep]
+    nearest = np.quantile(depth.depth[keep], _FEW, weights=covered, method="inverted_cdf")
+    return float(nearest)
 
 
 def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
