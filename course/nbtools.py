@@ -1,8 +1,8 @@
 """Read, clean and write notebook files. Cleaned, they are the same whoever ran them."""
 
-import ast
 import copy
 import re
+import symtable
 from itertools import pairwise
 from pathlib import Path
 
@@ -71,16 +71,22 @@ def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
 
 def drawing_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
     """Return the cells that only draw: no check, and nothing that a later cell needs."""
-    cells = code_cells(nb)
-    trees = [ast.parse(cell.source) for cell in cells]
     found, needed = [], set[str]()
-    for cell, tree in zip(reversed(cells), reversed(trees), strict=True):
-        names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-        bound = {node.id for node in names if isinstance(node.ctx, ast.Store)}
-        bound |= {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    for cell in reversed(code_cells(nb)):
+        top = symtable.symtable(cell.source, "", "exec")
+        scopes = [top]
+        for scope in scopes:
+            scopes.extend(scope.get_children())
+        bound = {name.get_name() for name in top.get_symbols() if name.is_assigned()}
         if "show(" in cell.source and "check_" not in cell.source and not bound & needed:
             found.append(cell)
-        needed |= {node.id for node in names} - bound
+        read = {
+            name.get_name()
+            for scope in scopes
+            for name in scope.get_symbols()
+            if name.is_referenced() and (scope is top or name.is_global())
+        }
+        needed = (needed | read) - bound
     return found[::-1]
 
 
@@ -112,7 +118,7 @@ def read_notebook(path: Path) -> nbformat.NotebookNode:
 
 def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     """Return a notebook without what depends on the machine and the program that ran it; fill in
-    its solutions.
+    its solutions, and fold cells that only draw, in JupyterLab, too.
 
     Tags, outputs, execution counts and code stay as they are, but for the first cell.
     """
@@ -134,14 +140,16 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     first = next(iter(code_cells(nb)), None)
     if first and first.source.endswith(SETUP):
         first.source = setup_of(nb)
+    drawing = drawing_cells(nb)
     for number, cell in enumerate(nb.cells):
         cell.id = f"cell-{number}"
         if cell.cell_type == "markdown":
             cell.source = SOLUTION.sub(
                 lambda fold: fold[1] + answers.get(fold[2], fold[3]), cell.source
             )
-        tags = cell.metadata.get("tags")
-        cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
+        kept = {"tags": tags} if (tags := cell.metadata.get("tags")) else {}
+        folded = {"jupyter": {"source_hidden": True}} if cell in drawing else {}
+        cell.metadata = nbformat.from_dict(kept | folded)
         if cell.cell_type == "code":
             # A widget without its kernel shows nothing; the figure beside it is what a reader sees.
             cell.outputs = [

@@ -67,10 +67,9 @@ def foreign_or_missing(page):
             yield f"{page.path.name} → {address.geturl()}"
 
 
-def count_pictures(path, slides=False):
-    """How many pictures a notebook holds, or its slides do, which leave out what is tagged so."""
+def count_pictures(path):
+    """How many pictures a notebook holds."""
     nb = nbformat.read(path, as_version=4)
-    nb.cells = [c for c in nb.cells if not (slides and "skip" in c.metadata.get("tags", []))]
     texts = sum(
         len(re.findall(r"!\[[^\]]+\]\(", cell.source))
         for cell in nb.cells

@@ -8,7 +8,6 @@ course stores its notebooks without it (`nbtools.clean`), so it is added while t
 
 import itertools
 import os
-from pathlib import Path
 from typing import Any
 
 from ipykernel.ipkernel import IPythonKernel
@@ -40,7 +39,7 @@ def start(options: list[str]) -> None:
     WORKING.mkdir(exist_ok=True)
     for path in nbtools.notebooks():
         if not (WORKING / path.name).exists():
-            write_text(WORKING / path.name, copy_of(path))
+            write_text(WORKING / path.name, nbtools.read_text(path))
     for old, new in nbtools.MOVED.items():
         if (WORKING / f"{old}.ipynb").exists():
             print(
@@ -49,15 +48,6 @@ def start(options: list[str]) -> None:
     # as the default page it stands in the address that is printed, too, with --no-browser
     first = f"--LabApp.default_url=/lab/tree/{WORKING.name}/{nbtools.notebooks()[0].name}"
     LabApp.launch_instance([*SETTINGS, *AS_ROOT, first, *options])
-
-
-def copy_of(path: Path) -> str:
-    """Return a stored notebook as students get it: without the tests of its prose, which give
-    answers away.
-    """
-    nb = nbtools.read_notebook(path)
-    nb.cells = [cell for cell in nb.cells if "claims" not in cell.metadata.get("tags", ())]
-    return nbtools.text_of(nb)
 
 
 def renew(name: str) -> None:
@@ -78,7 +68,7 @@ def renew(name: str) -> None:
             f" {copy.rename(next(path for path in kept if not path.exists())).name}"
         )
     WORKING.mkdir(exist_ok=True)
-    write_text(copy, copy_of(found[0]))
+    write_text(copy, nbtools.read_text(found[0]))
     print(f"a fresh copy is in {WORKING.name}/{copy.name}")
 
 

@@ -1,10 +1,9 @@
 """Make slides of the notebooks: `make slides`, or `python -m workshop slides FOLDER`.
 
 nbconvert writes each notebook as one page, and deal.js, beside it, deals the page out to slides in
-the browser: it begins a slide at each heading, and where the next piece does not fit. Slides
-that were written, in book/slides/NUMBER.yaml, show an idea each, with one figure, formula or
-function of the notebook and a sentence. Of the other notebooks `cut` says what is shown; a cell
-with the tag `skip` is left out.
+the browser: it begins a slide at each heading, and where the next piece does not fit. What
+book/slides/NUMBER.yaml says is shown: on each slide an idea, one figure, formula or function of
+the notebook, and a sentence.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides
 need no network.
@@ -13,7 +12,6 @@ need no network.
 import copy
 import html
 import io
-import itertools
 import re
 import shutil
 from collections.abc import Iterator
@@ -24,13 +22,11 @@ import nbformat
 import yaml
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
-from nbformat.v4 import new_markdown_cell, new_notebook, new_output
+from nbformat.v4 import new_markdown_cell, new_notebook
 from PIL import Image
 
 from course import nbtools
 from course.classroom import solve
-from course.exercises.opened import YOURS_TO_WRITE
-from course.figures import stills
 from omnistereo_lib.errors import OmnistereoError
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
@@ -40,13 +36,9 @@ MATHJAX = Path(
 BOOK = nbtools.ROOT / "book"
 TEMPLATE = BOOK / "slides_template"
 WRITTEN = BOOK / "slides"
-SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
-LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
-BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
-SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
+SCRIPTS = (MATHJAX, TEMPLATE / "deal.js")
 DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
 SHOWN = re.compile(r'\bshow\(.*, "([^"]+)"\)')  # the name of a figure
-LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
 def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> None:
@@ -80,18 +72,12 @@ def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> No
         exclude_anchor_links=True,
         config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": ["hide-input"]}},
     )
-    entries, stems = [], [path.stem for path in nbtools.notebooks()]
+    entries = []
     for path in paths:
         nb = nbformat.read(path, as_version=4)
-        cells = list(shown(nb, path.stem, out))
+        cells = list(shown(nb, nbtools.number(path)))
         page, _ = exporter.from_notebook_node(
             new_notebook(cells=cells, metadata=nb.metadata | {"title": path.stem})
-        )
-        page = LINK.sub(
-            lambda link: (
-                f'<a href="{link[1]}.slides.html">{link[2]}</a>' if link[1] in stems else link[2]
-            ),
-            page,
         )
         (out / f"{path.stem}.slides.html").write_text(page, encoding="utf-8")
         facts = nb.metadata["omnistereo"]
@@ -138,14 +124,9 @@ def print_slides(pages: list[Path]) -> None:
         browser.close()
 
 
-def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
-    """Yield the cells of a notebook's slides."""
-    script = WRITTEN / f"{stem.partition('_')[0]}.yaml"
-    yield from written(nb, script) if script.is_file() else cut(nb, stem, out)
-
-
-def written(nb: NotebookNode, script: Path) -> Iterator[NotebookNode]:
-    """Yield the cells of slides that were written: an idea, a sentence, what there is to see."""
+def shown(nb: NotebookNode, number: str) -> Iterator[NotebookNode]:
+    """Yield the cells of a notebook's slides: an idea, a sentence, what there is to see."""
+    script = WRITTEN / f"{number}.yaml"
     first = nb.cells[0].source.partition("\n")[0]
     learn = nb.metadata["omnistereo"]["learn"]
     yield new_markdown_cell(f"{first}\n\nYou will {learn}.\n\n{first_picture(nb)}")
@@ -177,76 +158,12 @@ def folded_solutions(nb: NotebookNode) -> dict[str, str]:
     return {name: f"{fold}\n```\n</details>" for name, fold in folds.items()}
 
 
-def cut(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
-    """Yield the cells that the slides show of a notebook: what a room needs, the notebook has the
-    rest.
-
-    Headings, formulas, lists, and of each paragraph the first sentence; on the title slide the
-    first picture. Of code the functions that are left open, each as "Your turn", with its solution
-    at the next step; else what it shows. Of a live figure its stills. Not the exercises, common
-    errors and further reading at the end.
-    """
-    live, section = 0, ""
-    solutions = folded_solutions(nb)
-    for cell in nb.cells:
-        tags = cell.metadata.setdefault("tags", [])
-        if cell.cell_type == "markdown":
-            kept = []
-            for block in BLOCK.findall(cell.source):
-                section = block if re.match("##? ", block) else section
-                if section not in LEFT_OUT and not block.startswith("<details>"):
-                    kept.append(in_short(block))
-            cell.source = "\n\n".join(kept)
-            if cell is nb.cells[0]:
-                cell.source += f"\n\n{first_picture(nb)}"
-        elif section in LEFT_OUT or cell.source.endswith(nbtools.SETUP):
-            continue
-        elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
-            yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
-            yield cell
-            cell = new_markdown_cell("\n\n".join(solutions[name] for name in stubs))
-        else:
-            for _ in stills.LIVE.findall(cell.source):
-                figure = stills.shown(stem, live, out).replace(
-                    '<iframe class="view" src', '<iframe class="view" data-src'
-                )
-                cell.outputs.append(new_output("display_data", {"text/html": figure}))
-                live += 1
-            # with their captions
-            pictures = [output for output in cell.outputs if "data" in output]
-            cell.outputs = pictures or [
-                output for output in cell.outputs if YOURS_TO_WRITE not in output.text
-            ]
-            tags.append("hide-input")
-            if not cell.outputs:
-                continue
-        if cell.source and "skip" not in tags:
-            yield cell
-
-
-def in_short(block: str) -> str:
-    """Return a block of Markdown, but of a paragraph its first sentence, unless that ends within
-    its emphasis.
-    """
-    first, *others = SENTENCE.split(block, maxsplit=1)
-    is_prose = re.match(r"[\w*_`$(\[\"“‘]", block) and not re.match(r"(\*|\d+\.) |\$\$", block)
-    return (
-        first
-        if others and is_prose and first.count("*") % 2 == first.count("$") % 2 == 0
-        else block
-    )
-
-
 def first_picture(nb: NotebookNode) -> str:
     """Return the first picture of a notebook as HTML."""
-    for output in itertools.chain(*(cell.outputs for cell in nbtools.code_cells(nb))):
-        for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
-            picture, alt = (
-                output.data[mime].replace("\n", ""),
-                html.escape(output.data["text/plain"]),
-            )
-            return (
-                f'<div class="jp-RenderedImage"><img src="data:{mime};base64,{picture}"'
-                f' alt="{alt}"></div>'
-            )
+    outputs = (output for cell in nbtools.code_cells(nb) for output in cell.outputs)
+    for data in (output.get("data", {}) for output in outputs):
+        for mime in {*nbtools.PICTURES} & {*data}:
+            alt, content = html.escape(data["text/plain"]), data[mime].replace("\n", "")
+            image = f'<img src="data:{mime};base64,{content}" alt="{alt}">'
+            return f'<div class="jp-RenderedImage">{image}</div>'
     return ""
