@@ -56,7 +56,9 @@ def depth_sentences(
     rays, known = depth.index.size, int(depth.valid.sum())
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
-    nearest = nearest_depth(depth, keep & ~doubtful)
+    # The nearest of many noisy depths is too near: on full spheres of nine street frames by 10 to
+    # 13 %. At the far ends of their bars it was within 6 % (in two rooms still 20 and 40 % too near).
+    nearest = nearest_depth(depth, keep & ~doubtful, beyond=1.0)
     found = f"the nearest thing is {metres(nearest)} away"
     if not (keep & ~doubtful).any():
         found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
@@ -142,17 +144,17 @@ def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[floa
     return share, of_near, near
 
 
-def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
+def nearest_depth(depth: Depth, keep: NDArray[np.bool_], beyond: float = 0.0) -> float:
     """Return the depth in metres than which 2 ‰ of what the kept rays cover is nearer; NaN without
-    any.
+    any. Each ray counts at its depth, or `beyond` times σ farther.
 
     A ray covers cos φ: the rows at a pole have as many rays as others, and hardly any sphere.
     """
     if not keep.any():
         return float("nan")
+    inverse = (depth.inverse_depth - beyond * np.nan_to_num(depth.sigma))[keep]
     covered = np.broadcast_to(np.cos(depth.grid.phis())[:, None], keep.shape)[keep]
-    nearest = np.quantile(depth.depth[keep], _FEW, weights=covered, method="inverted_cdf")
-    return float(nearest)
+    return float(1 / np.quantile(inverse, 1 - _FEW, weights=covered, method="inverted_cdf"))
 
 
 def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
