@@ -57,7 +57,7 @@ def depth_sentences(
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
     # The nearest of many noisy depths is too near: on full spheres of nine street frames by 10 to
-    # 13 %. At the far ends of their bars it was within 6 % (in two rooms still 20 and 40 % too near).
+    # 13 %. At the far ends of their bars it was within 6 % (in two rooms still 20, 40 % too near).
     nearest = nearest_depth(depth, keep & ~doubtful, beyond=1.0)
     found = f"the nearest thing is {metres(nearest)} away"
     if not (keep & ~doubtful).any():
