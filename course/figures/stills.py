@@ -31,7 +31,7 @@ LIVE = re.compile(r"^(interactive|pick_ray|explore)\(", re.MULTILINE)
 SHOWN = "In Jupyter this computes; here it shows stored pictures, one slider at a time."
 VIEW = "The points of a depth panorama, to rotate, tilt and zoom"
 _WIDTH = 900  # pixels
-_PLACES = {1: 13, 2: 9, 3: 7}  # number of sliders → stills of each
+_PLACES = {1: 13, 2: 5}  # number of sliders → stills of each
 
 
 # --- Record
