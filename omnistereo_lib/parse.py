@@ -63,8 +63,8 @@ _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 # What lens models have: a camera that states one which is not read is another lens than the one
 # read.
 _OF_A_LENS = re.compile(
-    "alpha|beta|xi|omega|lambda|epsilon|chi|[kps][0-9]|(linear_?)[cde]|gamma[12]|(radial|tangential)"
-    "_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|coef\\w*|skew",
+    "alpha|beta|xi|omega|lambda|epsilon|chi|[kps][0-9]|(linear_?)[cde]|gamma[12]|"
+    "(radial|tangential)_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|coef\\w*|skew",
     re.IGNORECASE,
 )
 

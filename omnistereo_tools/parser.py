@@ -144,4 +144,5 @@ def shrink(settings: _Settings) -> _Settings:
     capped = {name: min(known[name], most) for name, most in _CAPS.items() if name in known}
     if known["height"] is not None:
         capped["height"] = max(1, round(known["height"] * capped["width"] / known["width"]))
-    return replace(settings, **capped)  # type: ignore[type-var]  # what has no fields is no settings
+    # What has no fields is no settings.
+    return replace(settings, **capped)  # type: ignore[type-var]

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from course.figures import stills
 from course.figures.captions import caption_output, captions
+from course.figures.view3d import draw_points as draw_points
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_tools.output.calibration_figures import calibration_figure as calibration_figure
 from omnistereo_tools.output.calibration_figures import draw_coverage as draw_coverage
 from omnistereo_tools.output.colors import colorize_depth
-from omnistereo_tools.output.points import draw_points as draw_points
 
 if TYPE_CHECKING:
     from ipywidgets import Widget

@@ -39,4 +39,5 @@ def _minimum(context: Any, a: Any, b: Any) -> Any:
 
 
 # Any: called in compiled code, with a and b alone; by Python under NUMBA_DISABLE_JIT.
-minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)  # type: ignore[attr-defined]
+_is_plain: bool = numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+minimum: Any = min if _is_plain else intrinsic(_minimum)

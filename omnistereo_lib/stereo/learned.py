@@ -204,7 +204,8 @@ class LearnedCost(BlockCost):
         check_type(network, PairNetwork, "network")
         choose_precision(precision, "cpu")
         self.network = network.ready(next(network.parameters()).device)
-        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's hints lack it
+        # Torch's hints lack it.
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.precision = precision
 
     def volume(

@@ -127,7 +127,8 @@ def _of_dates(found: list[re.Match[str]]) -> list[int] | None:
     seconds = []
     for match in found:
         try:
-            moment = datetime(*map(int, match.groups()[:6]), tzinfo=UTC)  # type: ignore[misc,arg-type]
+            year, month, day, hour, minute, second = map(int, match.groups()[:6])
+            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
         except ValueError:
             return None
         seconds.append(int(moment.timestamp()))

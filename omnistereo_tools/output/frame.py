@@ -58,30 +58,41 @@ from omnistereo_tools.parser import is_own
 _SHARP, _WIDEST = 1.4, 3600
 
 _README = """\
-Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
-The centre column looks along +z of the rig, those to its right towards +x. Depth is measured along the ray, from the
-mean of the camera centres.
+Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} \
+columns around the circle.
+The centre column looks along +z of the rig, those to its right towards +x. Depth is measured along
+the ray, from the mean of the camera centres.
 
 TIFF files of float32 state NaN as nodata; OpenCV reads them with cv2.IMREAD_UNCHANGED alone.
 
-inverse_depth.tiff   float32, 1/m; 0 = infinitely far, NaN = no two cameras see the ray. Depth in metres is 1 / value.
+inverse_depth.tiff   float32, 1/m; 0 = infinitely far, NaN = no two cameras see the ray.
+                     Depth in metres is 1 / value
 confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above
-inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look at, not to measure
+inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look
+                     at, not to measure
 depth_mm.png         16 bits: depth along the ray in whole millimetres; 0 = unknown, or beyond 65 m
-panorama.jpg         the cameras' colours at the depth of each ray, blended, one pixel per ray; black = unknown
+panorama.jpg         the cameras' colours at the depth of each ray, blended, one pixel per ray;
+                     black = unknown
 points.ply           {points} points, binary PLY: metres ({axes}), normals towards the rig,
-                     colours, confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m
-sigma.tiff           float32, 1/m: 68 % of the rays are off by at most this much in inverse depth; NaN as above
-bound.tiff           float32, 1/m: 95 % are. From the method's evidence, and from how far the rig file says that its
-                     cameras may be off; the truth is taken to lie within the range swept
-trust.tiff           float32 in [0, 1]: how likely the depth is right, off by at most a tenth or two spheres, by its
-                     error bars; 0 where cameras see black or white alone; below 0.5 a ray is doubtful
-rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
-                     takes coordinates of your rig file to those of the panorama and the points
-provenance.json      what all this was made from: the version, checksums of rig and images, the method
+                     colours, confidence as quality, and 1 where doubtful; rays up to \
+{max_depth:.3g} m
+sigma.tiff           float32, 1/m: 68 % of the rays are off by at most this much in inverse depth;
+                     NaN as above
+bound.tiff           float32, 1/m: 95 % are. From the method's evidence, and from how far the rig
+                     file says that its cameras may be off; the truth is taken to lie within the
+                     range swept
+trust.tiff           float32 in [0, 1]: how likely the depth is right, off by at most a tenth or
+                     two spheres, by its error bars; 0 where cameras see black or white alone;
+                     below 0.5 a ray is doubtful
+rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file
+                     (axis-angle, metres) takes coordinates of your rig file to those of the
+                     panorama and the points
+provenance.json      what all this was made from: the version, checksums of rig and images, the
+                     method
 """
 _ERRORS = """\
-errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper
+errors.json          errors against the ground truth in % of the range swept, as in Table II of
+                     the paper
 """
 
 

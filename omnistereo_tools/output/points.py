@@ -1,4 +1,4 @@
-"""The point cloud: points, colours, normals, confidence and doubts; as binary PLY, and drawn."""
+"""The point cloud: points, colours, normals, confidence and doubts; as binary PLY or LAS."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
-from omnistereo_tools.output.colors import BACKGROUND
 
 if TYPE_CHECKING:
     from omnistereo_lib.stereo.depth import Depth
 
 # beyond it, one sphere more or less is a quarter of the depth: a spray of points, not a surface
 _FAR_SPHERE = 4
-_NEAREST = 0.1  # metres in front of the eye
-_LARGEST = 7  # px of a point: nearer ones would hide what is behind them
 
 _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
 _PROPERTIES |= dict.fromkeys(("red", "green", "blue"), "u1")
@@ -165,61 +162,3 @@ def _nearer(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     """Return the shorter of two differences for each point, (H, W, 3)."""
     shorter = np.linalg.norm(a, axis=-1) <= np.linalg.norm(b, axis=-1)
     return np.where(shorter[..., None], a, b)
-
-
-def draw_points(
-    points: NDArray[Any],
-    colors: NDArray[Any],
-    size: tuple[int, int],
-    eye: tuple[float, float, float] | None = None,
-) -> NDArray[np.uint8]:
-    """Draw a point cloud (M, 3) in metres, rig frame.
-
-    Args:
-        colors: uint8 array, shape (M, 3), RGB
-        size: (width, height) in pixels
-        eye: Where it is seen from, towards the sweep centre, metres; not straight above. Default:
-            from above and behind the rig, at a distance that suits the cloud.
-
-    Returns:
-        uint8 array, shape (height, width, 3), RGB
-    """
-    width, height = size
-    picture = np.full((height, width, 3), BACKGROUND, np.uint8)
-    if len(points) == 0:
-        return picture
-    target, nearest = np.zeros(3), _NEAREST
-    place = np.asarray(eye, np.float64)
-    if eye is None:
-        typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
-        # y points down
-        place, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])
-        # a wall between the eye and the rig would hide the scene
-        nearest = max(_NEAREST, 0.35 * typical)
-    x, y, z = _axes(target - place) @ (points - place).T
-    order = np.argsort(-z)
-    order = order[z[order] > nearest]
-    focal = 0.62 * width
-    u, v = width / 2 + focal * x[order] / z[order], height / 2 + focal * y[order] / z[order]
-    reach = np.linalg.norm(points[order], axis=-1) / z[order]
-    spacing = 2 * np.pi / np.sqrt(8 * len(points))  # about the angle between rays
-    sides = np.clip(np.ceil(focal * spacing * reach), 1, _LARGEST).astype(int)
-    depth = np.full((height, width), np.inf)
-    left, top, far = u - sides / 2, v - sides / 2, z[order]
-    for row, column in np.ndindex(_LARGEST, _LARGEST):
-        some = np.flatnonzero(sides > max(row, column))
-        at_u = np.floor(left[some] + column).astype(int)
-        at_v = np.floor(top[some] + row).astype(int)
-        drawn = (at_u >= 0) & (at_u < width) & (at_v >= 0) & (at_v < height)
-        drawn[drawn] = far[some[drawn]] < depth[at_v[drawn], at_u[drawn]]
-        where = at_v[drawn], at_u[drawn]  # of several points the last, and so the nearest, stays
-        picture[where], depth[where] = colors[order[some[drawn]]], far[some[drawn]]
-    return picture
-
-
-def _axes(towards: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the axes of a camera that looks in a direction, right, down, forward, as rows."""
-    forward = towards / np.linalg.norm(towards)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])

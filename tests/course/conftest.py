@@ -1,4 +1,4 @@
-"""Which exercises are slow to check: each case of `best_step` solves several least-squares problems."""
+"""Which exercises are slow to check: each case of `best_step` solves several least squares."""
 
 import pytest
 

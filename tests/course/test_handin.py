@@ -69,7 +69,8 @@ DAEMON = """if os.fork() == 0:
 while not os.path.exists(LOG):
     time.sleep(0.01)"""
 FORGED = """for fd in range(3, 30):
-    for line in ('{"function": "zncc", "replies": "right"}', '{"function": [], "cell": {}}', '[' * 100000,
+    for line in ('{"function": "zncc", "replies": "right"}', '{"function": [], "cell": {}}',
+                 '[' * 100000,
                  '{"function": "mean_of_pairs", "replies": [{"error": "a\\\\u0000", "text": {}}]}',
                  '\\xff', '{"end": 1}'):
         try:

@@ -25,15 +25,16 @@ EXERCISES = [
     for function in exercises.functions(nbtools.number(path))
 ]
 
-OPERATORS = """Add Sub, Sub Add, Mult Div Add, Div Mult FloorDiv, FloorDiv Div, Mod Div, Pow Mult, MatMult Mult,
-BitAnd BitOr, BitOr BitAnd, Lt LtE Gt, LtE Lt Gt, Gt GtE Lt, GtE Gt Lt, Eq NotEq, NotEq Eq"""
+OPERATORS = """Add Sub, Sub Add, Mult Div Add, Div Mult FloorDiv, FloorDiv Div, Mod Div, Pow
+Mult, MatMult Mult, BitAnd BitOr, BitOr BitAnd, Lt LtE Gt, LtE Lt Gt, Gt GtE Lt, GtE Gt Lt, Eq
+NotEq, NotEq Eq"""
 OTHERS = {
     getattr(ast, first): [getattr(ast, op) for op in ops]
     for first, *ops in map(str.split, OPERATORS.split(","))
 }
-NAMES = """min max, minimum maximum, argmin argmax, nanmin nanmax, sum mean, nansum nanmean, nanmean mean, nansum sum,
-nanmin min, nanargmin argmin, floor rint, floor ceil, sin cos, hypot add, isnan isfinite, ones zeros, radians degrees,
-any all, cumsum cumprod"""
+NAMES = """min max, minimum maximum, argmin argmax, nanmin nanmax, sum mean, nansum nanmean,
+nanmean mean, nansum sum, nanmin min, nanargmin argmin, floor rint, floor ceil, sin cos, hypot
+add, isnan isfinite, ones zeros, radians degrees, any all, cumsum cumprod"""
 PAIRS = [tuple(pair.split()) for pair in NAMES.split(",")]
 PAIRS += [pair[::-1] for pair in PAIRS]
 

@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 
 import omnistereo_lib as osl
 from course.figures import plot
-from omnistereo_tools.output.colors import colorize_depth
+from omnistereo_tools.output.colors import BACKGROUND, colorize_depth
 
 matplotlib.use("agg")
 
@@ -157,3 +157,11 @@ def test_points_are_seen_from_the_eye():
     focal = 0.62 * 300  # px
     assert np.mean(red, 1) == pytest.approx([100 + focal / 4, 150], abs=2)
     assert np.mean(green, 1) == pytest.approx([100, 150 + focal / 4], abs=2)
+    assert (plot.draw_points(points[:0], colors[:0], (4, 3), (0, 0, -4)) == BACKGROUND).all()
+
+
+def test_near_points_hide_far_ones():
+    points, colors = np.array([[0, 0, 0], [0, 0, 1.0]]), np.uint8([[255, 0, 0], [0, 255, 0]])
+    for order in ([0, 1], [1, 0]):
+        picture = plot.draw_points(points[order], colors[order], (40, 30), (0, 0, -1.0))
+        assert (picture == [255, 0, 0]).all(-1).any()

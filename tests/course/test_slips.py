@@ -19,7 +19,7 @@ each = pytest.mark.parametrize("function", OPENED.values(), ids=OPENED)
 
 
 def table(name):
-    """Yield what stands in a file beside this one, function by function, as parameters of a test."""
+    """Yield what stands in a file beside this one, a function each, as parameters of a test."""
     function, text = None, {}
     for line in Path(__file__).with_name(name).read_text("utf-8").splitlines():
         if line in OPENED:

@@ -57,7 +57,7 @@ def test_a_jpeg_that_is_damaged_in_the_middle_is_told(tmp_path, capfd):
 
 @pytest.mark.parametrize("behind", [bytes(160), b"\xff\xda\xff\xd9film" * 5000, b"\xff\xd9"])
 def test_bytes_behind_the_end_of_a_jpeg(tmp_path, behind, recwarn):
-    """As embedded cameras pad pictures, and telephones put a film behind them; cut off is another."""
+    """As embedded cameras pad pictures, and telephones put a film behind; cut off is another."""
     write_image(
         tmp_path / "a.jpg", np.random.default_rng(1).integers(0, 256, (96, 128, 3), np.uint8)
     )

@@ -1,4 +1,4 @@
-"""Sound: how late videos are, by one noise that all microphones hear, each with noise of its own."""
+"""Sound: how late videos are, by one noise that all microphones hear, each with its own."""
 
 from fractions import Fraction
 

@@ -17,9 +17,9 @@ from omnistereo_lib.pictures import read_pixels, write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.output import overview
-from omnistereo_tools.output.colors import BACKGROUND, ColorScale
+from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.frame import FrameResult
-from omnistereo_tools.output.points import Limits, PointCloud, draw_points
+from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, nearest_depth
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
@@ -204,20 +204,6 @@ def test_no_letters_of_the_overview_touch(monkeypatch, pictures, rig, nearest):
     for (a, (left, top, right, bottom)), (b, other) in combinations(boxes, 2):
         apart = right + 4 <= other[0] or other[2] + 4 <= left
         assert apart or bottom <= other[1] or other[3] <= top, (a, b)
-
-
-def test_near_points_hide_far_ones():
-    near = np.array([[0.0, 0.0, 0.0]])
-    eye = np.array([0.35, -0.9, -1.3])  # on the line of sight behind it, seen from above and behind
-    far = -0.8 * eye[None]
-    ring = np.array([[x, 0.0, z] for x in (-1, 1) for z in (-1.0, 1)])
-    points = np.concatenate([near, far, ring])
-    colors = np.uint8([[255, 0, 0], [0, 255, 0], *[[9, 9, 9]] * 4])
-    for order in (np.arange(6), np.arange(6)[::-1]):
-        picture = draw_points(points[order], colors[order], (400, 300))
-        shown = {tuple(color) for color in picture.reshape(-1, 3)}
-        assert (255, 0, 0) in shown
-    assert (draw_points(points[:0], colors[:0], (4, 3)) == BACKGROUND).all()
 
 
 def test_masks_beside_the_images(rig, tmp_path):

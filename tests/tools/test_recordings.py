@@ -105,8 +105,8 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
 def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
     assert run(*record_command(recorded, done)) == 0  # all is there: it only sums up
     said = re.search(
-        r"^\w+: (\d+) % of rays are doubtful over \d+ frames(?:; .*)?\.\nOf the nearest tenth of rays"
-        r" of each frame, (\d+) % are doubtful",
+        r"^\w+: (\d+) % of rays are doubtful over \d+ frames(?:; .*)?\.\nOf the nearest tenth"
+        r" of rays of each frame, (\d+) % are doubtful",
         capsys.readouterr().out,
     )
     shares = []

@@ -122,8 +122,10 @@ def line(page, y, x=0, width=None):
     read = page.evaluate(
         """([x, y, width]) => {
             drawNow()
-            const gl = canvas.getContext("webgl2"), read = new Uint8Array(4 * (width ?? canvas.width))
-            gl.readPixels(x, canvas.height - 1 - y, read.length / 4, 1, gl.RGBA, gl.UNSIGNED_BYTE, read)
+            const gl = canvas.getContext("webgl2")
+            const read = new Uint8Array(4 * (width ?? canvas.width))
+            gl.readPixels(x, canvas.height - 1 - y, read.length / 4, 1, gl.RGBA, gl.UNSIGNED_BYTE,
+                read)
             return [...read]
         }""",
         [x, y, width],
@@ -160,10 +162,13 @@ def test_every_ray_is_found_where_it_is_shown(depth, desktop, mode):
     )
     missed = desktop.evaluate("""() => [...steps.keys()].filter(k => k % 7 === 0).map(k => {
         const density = canvas.width / canvas.clientWidth, [x, y] = placeOf(pointOf(k)) ?? [-1, -1]
-        if (!(x > 1 && y > 1 && x < canvas.clientWidth - 1 && y < canvas.clientHeight - 1)) return -1
-        const found = renderer.names(seen(), settings(), Math.floor(x * density), Math.floor(y * density))[0]
+        const right = canvas.clientWidth - 1, bottom = canvas.clientHeight - 1
+        if (!(x > 1 && y > 1 && x < right && y < bottom)) return -1
+        const at = [x, y].map(place => Math.floor(place * density))
+        const found = renderer.names(seen(), settings(), ...at)[0]
         const across = Math.abs((found - k + 1.5 * D.width) % D.width - D.width / 2)
-        return found < 0 ? 99 : Math.max(across, Math.abs(Math.floor(found / D.width) - Math.floor(k / D.width)))
+        const down = Math.abs(Math.floor(found / D.width) - Math.floor(k / D.width))
+        return found < 0 ? 99 : Math.max(across, down)
     }).filter(missed => missed >= 0)""")
     assert len(missed) > 60 and np.mean(np.array(missed) <= 1) > 0.97
 
@@ -196,8 +201,10 @@ def test_a_tap_that_opens_the_explanation_operates_nothing_that_slides_under_the
     state = "[mode(), ...INPUTS.map(name => $(name).value), view.zoom, flight, $('why').hidden]"
     boxes = page.evaluate("""() => {
         pick(20 * D.width + 80)
-        const found = [...document.querySelectorAll("#controls :is(.pick label, input, button)")].map(
-            control => control.getBoundingClientRect()).map(box => [box.x + box.width / 2, box.y + box.height / 2])
+        const places = "#controls :is(.pick label, input, button)"
+        const found = [...document.querySelectorAll(places)].map(
+            control => control.getBoundingClientRect()).map(
+            box => [box.x + box.width / 2, box.y + box.height / 2])
         $("reset").onclick()
         return found
     }""")
@@ -372,7 +379,8 @@ def test_surfaces_have_no_hole_and_nothing_is_stretched(depth, desktop):
         )
         holes = desktop.evaluate("""() => {
             const [w, h] = [canvas.width, canvas.height]
-            return renderer.names(seen(), settings(), w / 4, h / 2 - 100, w / 2, 200).filter(k => k < 0).length
+            const names = renderer.names(seen(), settings(), w / 4, h / 2 - 100, w / 2, 200)
+            return names.filter(k => k < 0).length
         }""")
         assert holes == 0
     opaque, fringe = desktop.evaluate("""() => { const mesh = makeMesh(k => steps[k] > 0)
@@ -625,7 +633,8 @@ def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, desktop
 def test_the_labels_of_its_scale_do_not_touch(pages, size):
     page = begun(pages[size])
     page.evaluate("""() => { $("scale").querySelectorAll("span").forEach(label => label.remove())
-        D.ticks = [[0, "∞"], [0.05, "40 m"], [0.11, "20 m"], [0.22, "10 m"], [0.31, "7 m"], [0.73, "3 m"], [1, "2 m"]]
+        D.ticks = [[0, "∞"], [0.05, "40 m"], [0.11, "20 m"], [0.22, "10 m"], [0.31, "7 m"],
+            [0.73, "3 m"], [1, "2 m"]]
         showScale() }""")
     labels = [label.bounding_box() for label in page.locator("#scale span:visible").all()]
     assert len(labels) >= 3 and all(

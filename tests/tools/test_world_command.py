@@ -189,7 +189,7 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
         number = 1 if key == "Home" else 3
         assert f"frame {number} by itself" in page.inner_text("#pictures")
         assert page.evaluate(
-            "n => $('before').src === D.views[n - 1].before && $('after').src === D.views[n - 1].after",
+            "n => ['before', 'after'].every(name => $(name).src === D.views[n - 1][name])",
             number,
         )
         at_ends.append(
@@ -218,8 +218,9 @@ def middle(page, yaw, degrees):
             Object.assign(view, { yaw, pitch: 0, behind: 0 })
             draw()
             const gl = canvas.getContext("webgl2"), [w, h] = [canvas.width, canvas.height]
-            const half = Math.round(seen().focal * Math.tan(degrees * Math.PI / 180)), side = 2 * half
-            const [x, y] = [w, h].map(size => Math.round(size / 2) - half), read = new Uint8Array(4 * side * side)
+            const half = Math.round(seen().focal * Math.tan(degrees * Math.PI / 180))
+            const side = 2 * half, read = new Uint8Array(4 * side * side)
+            const [x, y] = [w, h].map(size => Math.round(size / 2) - half)
             gl.readPixels(x, y, side, side, gl.RGBA, gl.UNSIGNED_BYTE, read)
             return [...read]
         }""",

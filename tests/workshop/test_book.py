@@ -208,7 +208,8 @@ WIDE = """() => {
     const limit = window.innerWidth
     if (document.scrollingElement.scrollWidth <= limit) return []
     const end = e => Math.round(e.getBoundingClientRect().right)
-    const boxed = e => e !== document.body && (getComputedStyle(e).overflowX !== "visible" || boxed(e.parentElement))
+    const boxed = e => e !== document.body
+        && (getComputedStyle(e).overflowX !== "visible" || boxed(e.parentElement))
     return [...document.body.querySelectorAll("*")]
         .filter(e => end(e) > limit && !boxed(e.parentElement))
         .map(e => `${e.localName}.${e.className} ends at ${end(e)} of ${limit}`)
@@ -225,7 +226,8 @@ BROKEN = """async () => {
 }"""
 # What axe-core, a checker of accessibility, once found.
 UNFIT = """() => [
-    ...[...document.querySelectorAll("[role=heading]:not([aria-level])")].map(e => `no level: ${e.outerHTML}`),
+    ...[...document.querySelectorAll("[role=heading]:not([aria-level])")].map(
+        e => `no level: ${e.outerHTML}`),
     ...[...document.querySelectorAll("a[href]")]
         .filter(e => !e.textContent.trim() && !e.ariaLabel && !e.querySelector("img[alt], svg"))
         .map(e => `a link without a name: ${e.outerHTML}`),
@@ -296,7 +298,8 @@ def test_controls_have_names_before_the_script_has_run(name, open_page):
 
 
 CUT = r"""found => found
-    .filter(e => e.scrollWidth > e.clientWidth + 1 && e.textContent.split("\n").every(line => line.length <= 120))
+    .filter(e => e.scrollWidth > e.clientWidth + 1
+        && e.textContent.split("\n").every(line => line.length <= 120))
     .map(e => e.textContent)"""
 
 

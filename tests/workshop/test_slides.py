@@ -68,11 +68,15 @@ WRONG = """() => {
         for (const e of slide.querySelectorAll("*")) {
             const box = e.getBoundingClientRect(), style = getComputedStyle(e)
             if (!box.width || !box.height || e.matches("pre *, [style*=overflow] *")) continue
-            const [right, bottom] = [(box.right - left) / scale, (box.bottom - top) / scale].map(Math.floor)
+            const [right, bottom] = [box.right - left, box.bottom - top].map(
+                px => Math.floor(px / scale))
             if (right > width || bottom > height) note(`${e.className} ends at ${right}, ${bottom}`)
-            if (style.overflowX !== "visible" && e.scrollWidth > e.clientWidth + 1) note(`${e.className} is cut off`)
-            if (e.localName === "pre" && parseFloat(style.fontSize) < 24) note(`code of ${style.fontSize}`)
-            if (e.localName === "img" && box.height / scale < 100) note(`a picture ${box.height / scale} px high`)
+            if (style.overflowX !== "visible" && e.scrollWidth > e.clientWidth + 1)
+                note(`${e.className} is cut off`)
+            if (e.localName === "pre" && parseFloat(style.fontSize) < 24)
+                note(`code of ${style.fontSize}`)
+            if (e.localName === "img" && box.height / scale < 100)
+                note(`a picture ${box.height / scale} px high`)
         }
     }
     return found
@@ -99,7 +103,10 @@ def opened(shown, open_page, stem):
 def test_a_solution_comes_at_the_next_step(shown, open_page):
     page = opened(shown, open_page, "04_zncc")
     page.evaluate(
-        "Reveal.slide(...Object.values(Reveal.getIndices(document.querySelector('.fragment').closest('section'))))"
+        """() => {
+        const at = document.querySelector('.fragment').closest('section')
+        Reveal.slide(...Object.values(Reveal.getIndices(at)))
+        }"""
     )
     solution = page.locator(".present .fragment").first
     assert not solution.evaluate("e => e.classList.contains('visible')")

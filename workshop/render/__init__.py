@@ -37,7 +37,8 @@ _ALL = SETS | WORLDS | CAPTURES
 _HELP = """\
 Render data sets with Blender: sunny/test, unless others are named.
 
-Frames that are there already are skipped, which in a clone are all of them: with --out they are rendered again.
+Frames that are there already are skipped, which in a clone are all of them: with --out they are
+rendered again.
 A frame of four images of 800 × 768 pixels takes about half a minute on two cores.
 
 Examples:

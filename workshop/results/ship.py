@@ -24,9 +24,10 @@ _CARD = """# {file}
 
 Written by `{command}`.
 
-- **Data:** {folder}, {frames} frames, every tenth only for validation; SHA-256 of all of them `{data_sha256}`. No \
-test street is among them.
-- **Machine:** {processor}, {threads} threads, {processes} process(es), {precision}, torch {torch}; {hours:.1f} hours.
+- **Data:** {folder}, {frames} frames, every tenth only for validation; SHA-256 of all of them \
+`{data_sha256}`. No test street is among them.
+- **Machine:** {processor}, {threads} threads, {processes} process(es), {precision}, torch \
+{torch}; {hours:.1f} hours.
 - **Errors** on the test streets: `omnistereo evaluate`.
 
 | step | validation loss | validation error |

@@ -35,7 +35,7 @@ def cells(figures):
 
 
 def folder_of(data):
-    """Of a data set by its name in a result: "sunny" is its test frames, "sunny-train" the others."""
+    """Of a data set by its name in a result: "sunny" is its test frames, "sunny-train" others."""
     name, _, split = data.partition("-")
     return DATA / name / (split or "test")
 

@@ -161,7 +161,8 @@ def depth(volume):
     return osl.winner_takes_all(smooth, subindex=True), osl.confidence(smooth)
 depth(torch.rand(20, 40, 192))  # compiles
 def memory(key):
-    return 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(key))
+    lines = open("/proc/self/status")
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(key))
 before = memory("VmRSS")
 depth(torch.rand(150, 600, 192))
 print((memory("VmHWM") - before) / (4 * 150 * 600 * 192))

@@ -91,7 +91,8 @@ renderer.render(scene, camera);
 document.body.dataset.drawn = "yes";
 </script>""",
     "pannellum": """<link rel="stylesheet" href="pannellum/build/pannellum.css">
-<script src="pannellum/build/pannellum.js"></script><div id="show" style="height:200px"></div><script>
+<script src="pannellum/build/pannellum.js"></script>
+<div id="show" style="height:200px"></div><script>
 const viewer = pannellum.viewer("show", {
   type: "equirectangular", panorama: "panorama.jpg", autoLoad: true, showControls: false,
   hfov: 50, yaw: 60, pitch: Number(location.hash.slice(1))});

@@ -30,7 +30,8 @@ bpy.ops.mesh.primitive_uv_sphere_add(segments=256, ring_count=128)
 bpy.ops.mesh.primitive_cylinder_add(vertices=256, radius=1, depth=2)
 meshes = [bpy.data.meshes[name] for name in ("Cube", "Sphere", "Cylinder")]
 bpy.data.batch_remove([item for item in bpy.data.objects if item.type == "MESH"])
-for shape, rotation, center, half in zip(*(scene[k] for k in ("shape", "rotation", "center", "half"))):
+names = "shape", "rotation", "center", "half"
+for shape, rotation, center, half in zip(*(scene[k] for k in names)):
     matrix = np.eye(4)
     matrix[:3, :3] = rotation.T * half @ (upright if shape == 2 else np.eye(3))
     matrix[:3, 3] = center

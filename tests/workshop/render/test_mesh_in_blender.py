@@ -26,16 +26,20 @@ folder = sys.argv[1]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.import_scene.gltf(filepath=folder + "/a.glb")
 scene, (mesh,) = bpy.context.scene, [item for item in bpy.data.objects if item.type == "MESH"]
-np.save(folder + "/points.npy", np.array([mesh.matrix_world @ vertex.co for vertex in mesh.data.vertices]))
+points = [mesh.matrix_world @ vertex.co for vertex in mesh.data.vertices]
+np.save(folder + "/points.npy", np.array(points))
 (image,) = bpy.data.images
-about = {"metres": scene.unit_settings.scale_length, "texture": list(image.size), "packed": bool(image.packed_file)}
+about = {"metres": scene.unit_settings.scale_length, "texture": list(image.size)}
+about["packed"] = bool(image.packed_file)
 json.dump(about, open(folder + "/about.json", "w"))
 scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-scene.camera.data.lens_unit, scene.camera.data.angle, scene.camera.data.clip_start = "FOV", np.pi / 2, 0.01
+lens = scene.camera.data
+lens.lens_unit, lens.angle, lens.clip_start = "FOV", np.pi / 2, 0.01
 scene.camera.rotation_euler = (np.pi / 2, 0, 0)
 scene.collection.objects.link(scene.camera)
 nodes, links = mesh.data.materials[0].node_tree.nodes, mesh.data.materials[0].node_tree.links
-(texture,), (surface,) = ([node for node in nodes if node.type == kind] for kind in ("TEX_IMAGE", "BSDF_PRINCIPLED"))
+kinds = "TEX_IMAGE", "BSDF_PRINCIPLED"
+(texture,), (surface,) = ([node for node in nodes if node.type == kind] for kind in kinds)
 assert surface.inputs["Base Color"].links[0].from_node == texture
 glow = nodes.new("ShaderNodeEmission")  # no light: it glows in its colours
 links.new(texture.outputs["Color"], glow.inputs["Color"])

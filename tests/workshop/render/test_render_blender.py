@@ -109,11 +109,13 @@ empty_scene()
 glow = bpy.data.materials.new("glow")
 glow.use_nodes = True
 glow.node_tree.nodes.clear()
-emission, output = (glow.node_tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "OutputMaterial"))
+kinds = "Emission", "OutputMaterial"
+emission, output = (glow.node_tree.nodes.new(f"ShaderNode{kind}") for kind in kinds)
 glow.node_tree.links.new(emission.outputs[0], output.inputs[0])
 T_world_cam = Pose.from_vector([0.7, -0.4, 1.1, 3.0, -2.0, 1.5])
 for ray in rays:
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=0.5, location=T_world_cam @ (10 * ray))
+    place = T_world_cam @ (10 * ray)
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=0.5, location=place)
     bpy.context.object.data.materials.append(glow)
 lens = Lens(make_rig(5).cameras[0].lens.k, (419.5, 359.5))
 np.save(out + "/picture.npy", fisheye_picture(lens, T_world_cam, (200, 192), 128, 0))
