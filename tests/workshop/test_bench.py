@@ -21,16 +21,16 @@ def once(monkeypatch):
 def test_a_line_has_all_times_and_their_ratios(capsys, monkeypatch):
     monkeypatch.setattr(bench, "machine", lambda: (1e9, 1e9))
     x = torch.zeros(10, 100)
-    bench.compare("product, twice", lambda: x @ x.T, lambda: sum(range(100_000)), note="exact")
-    *name, ours, _, _, theirs, ratio, note = capsys.readouterr().out.split()
-    assert (name, note) == (["product,", "twice"], "exact")
+    bench.compare("product, twice", lambda: x @ x.T, lambda: sum(range(100_000)))
+    *name, ours, _, _, theirs, ratio = capsys.readouterr().out.split()
+    assert name == ["product,", "twice"]
     assert 0 <= float(ours) < float(theirs) and float(ratio) < 1
     assert bench.operations(lambda: x @ x.T) == 2 * 10 * 100 * 10
     bench.compare("copy", lambda: x.clone(), None, 2e6)
     assert capsys.readouterr().out.split()[2] == "2.0"  # milliseconds: 2 MB at 1 GB/s
 
 
-@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("sgm", 1), ("volumenet", 4)])
+@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("volumenet", 4)])
 def test_a_comparison_runs(name, lines, capsys):
     getattr(bench, f"bench_{name}")(96, 24, 16)
     rows = [re.findall(r"  +([0-9.]+)", line) for line in capsys.readouterr().out.splitlines()]

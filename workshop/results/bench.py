@@ -27,11 +27,10 @@ from torch.utils.flop_counter import FlopCounterMode
 from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib import reference
 from omnistereo_lib.dataset import load_dataset
-from omnistereo_lib.frame import Frame, to_gray
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.rig_file import load_rig
 from omnistereo_lib.stereo.correlation import (
     correlate,
     feature_coordinates,
@@ -40,19 +39,15 @@ from omnistereo_lib.stereo.correlation import (
 )
 from omnistereo_lib.stereo.depth import index_and_confidence
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
-from omnistereo_lib.stereo.learned import LearnedCost, autocast, choose_precision
+from omnistereo_lib.stereo.learned import autocast, choose_precision
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import VolumeNet
 from omnistereo_lib.stereo.zncc import ZNCC, default_window
-from omnistereo_rigs.boards.captures import find_captures
 from omnistereo_rigs.boards.checkerboard import Checkerboard
-from omnistereo_rigs.boards.detect import detect_views
-from omnistereo_rigs.boards.single_camera import calibrate_camera
 from omnistereo_tools.memory import keep_memory
 from workshop.results.pairs import compare_builds, growth
 
@@ -65,11 +60,8 @@ _SGM, _WINNER = 3 * 4 + 5 * 4, 4
 _WARP = 2 * 4 + 4  # for each camera, coordinates read and a value written
 
 
-def compare(
-    name: str, ours: Call, theirs: Call | None = None, bytes_moved: float = 0, note: str = ""
-) -> None:
-    """Print one line: our milliseconds, the limit's and the ratio, an alternative's and the ratio,
-    and a note.
+def compare(name: str, ours: Call, theirs: Call | None = None, bytes_moved: float = 0) -> None:
+    """Print one line: our milliseconds, the limit's and the ratio, an alternative's and the ratio.
 
     Args:
         theirs: The alternative, None: there is none.
@@ -82,7 +74,7 @@ def compare(
     columns = [
         f"{1e3 * other:10.1f} {a / other:6.2f}" if other else " " * 17 for other in (limit, b)
     ]
-    print(f"{name:76} {1e3 * a:9.1f} {' '.join(columns)}  {note}".rstrip(), flush=True)
+    print(f"{name:76} {1e3 * a:9.1f} {' '.join(columns)}".rstrip(), flush=True)
 
 
 def seconds(call: Call) -> float:
@@ -105,34 +97,6 @@ def operations(call: Call) -> int:
     with FlopCounterMode(display=False) as counter:
         call()
     return counter.get_total_flops()
-
-
-def bench_sgm(width: int, height: int, num: int) -> None:
-    """Compare `sgm` (float32, 8 paths, across the seam) with OpenCV StereoSGBM in mode HH (16-bit,
-    8 paths).
-
-    Both get the same image pair and the penalties of the paper; mode HH uses only one thread. The
-    OpenCV time includes single-pixel costs and argmin, ours is the aggregation; OpenCV skips the
-    first `num` columns.
-    """
-    image = load_dataset(DATA / "sunny" / "test")[0].images[0]
-    left = cv2.resize(to_gray(image).round().astype(np.uint8), (width, height))
-    right = np.roll(left, -num // 2, axis=1)
-    shifted = [cv2.absdiff(left, np.roll(right, n, axis=1)) for n in range(num)]
-    volume = torch.from_numpy(np.stack(shifted, -1)).float() / 255
-    opencv = cv2.StereoSGBM.create(
-        numDisparities=num,
-        blockSize=1,
-        P1=round(0.1 * 255),
-        P2=12 * 255,
-        mode=cv2.StereoSGBM_MODE_HH,
-    )
-    compare(
-        f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH",
-        lambda: sgm(volume),
-        lambda: opencv.compute(left, right),
-        _SGM * volume.numel(),
-    )
 
 
 def bench_kernels(width: int, height: int, num: int) -> None:
@@ -247,39 +211,6 @@ def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, lis
     return sweep, data[0].images
 
 
-def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
-    """Compare SweepNet, in each precision of the processor, with a plain implementation on some
-    spheres of a frame.
-
-    Plain: in float32, every pair separately, the whole panorama, as PyTorch runs it. Weights and
-    images are equal, the warp is not timed.
-    """
-    sweep, images = _rig_and_images(width, height, num)
-    warped = sweep.warp_block(sweep.normalize_images(images), spheres)
-    columns = [sweep.visible_columns(i, spheres) for i in range(len(sweep.rig))]
-    pairs, plain = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
-    # with `wrap` it would repeat columns beyond the seam
-    plain.wrap, views = False, warped.nan_to_num()
-
-    @torch.no_grad()
-    def plainly() -> list[torch.Tensor]:
-        return [
-            plain(a[None], b[None])
-            for i, j in pairs
-            for a, b in zip(views[i], views[j], strict=True)
-        ]
-
-    for precision in (
-        ("float32", "bfloat16") if choose_precision("auto", "cpu") == "bfloat16" else ("float32",)
-    ):
-        compare(
-            f"SweepNet {width}×{height}, {len(spheres)} of {num} spheres, {precision}, against"
-            " plain float32",
-            partial(LearnedCost(SweepNet.pretrained(), precision), warped, pairs, columns),
-            plainly,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class FisheyeFit:
     """Result of `cv2.fisheye.calibrate`: rms px, infinite if it failed, matrix, distortion."""
@@ -326,29 +257,6 @@ def opencv_fisheye(
         return FisheyeFit(np.inf, matrix, distortion)
 
 
-def bench_calibrate() -> None:
-    """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection is not
-    timed.
-
-    OpenCV's model ends at 90° from the axis, so both get boards within 80°, and OpenCV our focal
-    length to start from.
-    """
-    board, folder = Checkerboard((12, 10), 0.06), DATA / "calibration" / "handheld"
-    corners = detect_views(list(find_captures(folder).images(0)), board)
-    size = load_rig(folder).cameras[0].image_size
-    start, whole = calibrate_camera(corners, board, size)
-    near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
-    views = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
-    ours_px = calibrate_camera(views, board, size)[1].errors.rms_distance_px
-    theirs_px = opencv_fisheye(views, board, size, start).rms_px
-    compare(
-        f"calibrate a camera, {len(views)} views, against cv2.fisheye",
-        lambda: calibrate_camera(views, board, size),
-        lambda: opencv_fisheye(views, board, size, start),
-        note=f"rms distance {ours_px:.3f} px, theirs {theirs_px:.3f}",
-    )
-
-
 def run(quick: bool = False, against: Path | None = None) -> None:
     """Print all comparisons; quick: at teaching scale. The scale of the paper takes 10 GiB.
 
@@ -369,12 +277,7 @@ def run(quick: bool = False, against: Path | None = None) -> None:
     )
     bench_kernels(320, 80, 64)
     for scale in [(320, 80, 64), (640, 160, 192)] + [(1200, 300, 192)] * (not quick):
-        for comparison in (bench_sgm, bench_volumenet):
-            comparison(*scale)
-    if not quick:
-        bench_sweepnet(320, 80, 64, range(30, 34))
-        bench_sweepnet(1200, 300, 192, range(95, 96))
-    bench_calibrate()
+        bench_volumenet(*scale)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     growth()
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")

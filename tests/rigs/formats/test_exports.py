@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import scene
+from rigs.formats.rig_file_samples import read, same
 from scene import refused
 
 import omnistereo_lib as osl
@@ -94,6 +95,24 @@ def test_colmap_reads_its_folder(exported, pycolmap):
             T = rig.T_rig_cam[i - 1].inverse() @ first
             matrix = stated.cam_from_rig.matrix()
             np.testing.assert_allclose(matrix, np.column_stack([T.R, T.t]), atol=1e-9)
+
+
+@pytest.mark.nightly
+def test_binary_models_are_read_by_pycolmap(exported, pycolmap, tmp_path):
+    """What COLMAP has made of our own lenses and two images of each."""
+    rig, folder, residual = exported
+    model = pycolmap.Reconstruction(folder / "colmap")
+    for n, pose in enumerate(rig.T_rig_cam, 1):
+        matrix = np.column_stack([pose.R.T, -pose.R.T @ pose.t])
+        image = pycolmap.Image(name=f"cam{n}/1.png", camera_id=n, image_id=n)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(matrix))
+    model.write_binary(tmp_path)
+    back, said = read(tmp_path, None, "m")
+    assert not (tmp_path / "cameras.txt").exists() and not said
+    same(back, rig.T_rig_cam)
+    for ours, true in zip(back.cameras, rig.cameras, strict=True):
+        uv, seen = ours.project(RAYS)
+        assert np.abs(uv - true.project(RAYS)[0])[seen].max() < residual + 0.02
 
 
 @pytest.mark.parametrize(

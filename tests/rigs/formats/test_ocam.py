@@ -202,13 +202,6 @@ def test_omnimvs_config(tmp_path, caplog):
         read_any_rig(tmp_path, unit="cm")
 
 
-def test_poses_that_no_rig_has(tmp_path):
-    rig = omnimvs()
-    rig["cameras"][1]["pose"][3] = 1001.0
-    with refused(r"config.yaml: a camera stands 1001 m from the origin"):
-        read_any_rig(dump(tmp_path / "config.yaml", rig))
-
-
 @pytest.mark.parametrize(("first", "second"), [("ocam2", "ocam02"), ("ocam1", "ocam01")])
 def test_two_files_of_one_camera_are_refused(tmp_path, first, second):
     ocam_folder(tmp_path, 3, POSES_TXT)

@@ -268,12 +268,6 @@ def test_two_cameras_of_one_number_are_refused(tmp_path, data, message):
         read(tmp_path / "rig.json", data, "cm")
 
 
-def test_zeros_behind_the_coefficients_are_dropped(tmp_path):
-    lens = LENS | {"D": [*K4, 0.0]}
-    _, said = read(tmp_path / "rig.json", {"cameras": [lens, lens | POSE]}, "cm")
-    assert re.search("D has 5 numbers; the zeros after the first 4 are dropped", said[0])
-
-
 @pytest.mark.parametrize("decimals", [2, 4, 5])
 def test_printed_rotations(tmp_path, decimals):
     R = Pose.from_vector([0.3, 0.7, 0.2, 0, 0, 0]).R

@@ -1,5 +1,4 @@
-"""Reconstructions: COLMAP's rigs and models, transforms.json, and one moment of many; what is
-exported comes back."""
+"""Reconstructions: COLMAP's rigs and models, transforms.json, and one moment of many."""
 
 from functools import partial
 
@@ -26,8 +25,6 @@ from rigs.formats.rig_file_samples import (
 from scene import refused
 
 from omnistereo_lib import Pose
-from omnistereo_rigs.formats.read import read_any_rig
-from omnistereo_rigs.formats.write import export_rig
 
 ROUND, PINHOLE = partial(kb4, f=(200, 200)), partial(brown, f=(400, 400), k=(0, 0), p=(0, 0))
 MODELS = {
@@ -194,24 +191,6 @@ def test_binary_models_say_what_to_do(tmp_path, monkeypatch):
         read(tmp_path)
 
 
-@pytest.mark.nightly
-def test_binary_models_are_read_by_pycolmap(exported, pycolmap, tmp_path):
-    """What COLMAP has made of our own lenses and two images of each."""
-    rig, folder, residual = exported
-    model = pycolmap.Reconstruction(folder / "colmap")
-    for n, pose in enumerate(rig.T_rig_cam, 1):
-        matrix = np.column_stack([pose.R.T, -pose.R.T @ pose.t])
-        image = pycolmap.Image(name=f"cam{n}/1.png", camera_id=n, image_id=n)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(matrix))
-    model.write_binary(tmp_path)
-    back, said = read(tmp_path, None, "m")
-    assert not (tmp_path / "cameras.txt").exists() and not said
-    same(back, rig.T_rig_cam)
-    for ours, true in zip(back.cameras, rig.cameras, strict=True):
-        uv, seen = ours.project(RAYS)
-        assert np.abs(uv - true.project(RAYS)[0])[seen].max() < residual + 0.02
-
-
 def test_frames_of_several_moments_are_one_rig(tmp_path):
     frames = []
     for moment, world in enumerate((WORLD, WORLD @ STEP, WORLD @ STEP @ STEP)):
@@ -270,24 +249,3 @@ def test_moments_of_one_camera_are_no_rig(tmp_path):
     many = [frame | {"file_path": f"images/{n:04}.png"} for n, frame in enumerate(frames)]
     with refused("moments of one camera, or cameras"):
         read(tmp_path / "t.json", transforms() | {"frames": many}, "m")
-
-
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory):
-    """A rig, the folder of what it is exported to, and the largest residual of the models there."""
-    rig, folder = read_any_rig("data_samples/sunny/test"), tmp_path_factory.mktemp("exported")
-    return rig, folder, max(export_rig(rig, folder))
-
-
-@pytest.mark.parametrize("name", ["colmap", "transforms.json", "opencv.yaml", "kalibr.yaml"])
-def test_what_is_exported_comes_back(exported, name):
-    """COLMAP's two files in the same way as the other ones: the residual is that of the model."""
-    true, folder, residual = exported
-    rig, said = read(folder / name, None, None if "kalibr" in name else "m")
-    for n, camera in enumerate(rig.cameras):
-        there = true.T_rig_cam[0].inverse() @ true.T_rig_cam[n]
-        error = there.inverse() @ rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[n]
-        assert max(error.magnitude()) < 1e-9
-        (uv, seen), (other, _) = camera.project(RAYS), true.cameras[n].project(RAYS)
-        assert np.abs(uv - other)[seen].max() < residual + 0.02
-    assert not said
