@@ -21,8 +21,8 @@ _SIDES_MEET = 0.25
 _EVEN = 0.35
 # Lenses that share an image have principal points farther apart than this share of its longer side.
 _APART = 0.2
-# The first row of an image circle has a lower mean gray value.
-_DARK = 8.0
+# A gray value: the first row of an image circle is darker, and all of an image that shows nothing.
+DARK = 8.0
 
 
 def check_not_stitched(path: str | Path) -> None:
@@ -68,6 +68,4 @@ def is_equirectangular(image: NDArray[np.uint8]) -> bool:
     seam = np.abs(gray[:, 0] - gray[:, -1]).mean()
     apart = np.abs(gray - np.roll(gray, width // 2, axis=1)).mean()
     top = gray[0]
-    return bool(
-        top.mean() > _DARK and seam < _SIDES_MEET * apart and top.std() < _EVEN * gray.std()
-    )
+    return bool(top.mean() > DARK and seam < _SIDES_MEET * apart and top.std() < _EVEN * gray.std())

@@ -28,8 +28,7 @@ from omnistereo_lib.pictures import (
 )
 
 _FEW, _SPANS = 1e-3, 1.0  # of a float image: pixels, and ranges of all others; see `Frame.of`
-# Of depth files: tags of TIFF, and what stands in them.
-_DESCRIPTION, _PROGRAM = 270, 305
+# Of depth files: what stands in their tags.
 _SOFTWARE, _CHECKSUM = "omnistereo", "sha256 of the values"
 
 
@@ -272,6 +271,8 @@ def _sum_of(values: NDArray[Any]) -> str:
 
 
 def _read_float_tiff(path: Path) -> NDArray[Any]:
+    from PIL.ExifTags import Base
+
     content, picture = open_picture(path)
     floats = []
     try:
@@ -286,7 +287,8 @@ def _read_float_tiff(path: Path) -> NDArray[Any]:
             picture.seek(floats[0])
             decoded = decode_tiff(content, floats[0])
             values = np.array(picture) if decoded is None else decoded
-            about, software = (str(picture.tag_v2.get(tag, "")) for tag in (_DESCRIPTION, _PROGRAM))
+            tags = Base.ImageDescription, Base.Software
+            about, software = (str(picture.tag_v2.get(tag, "")) for tag in tags)
     except Exception as error:  # of many types
         raise OmnistereoError(
             f"{path} is not a complete TIFF file ({error}). Copy it again."

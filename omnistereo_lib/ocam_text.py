@@ -28,7 +28,8 @@ from omnistereo_lib.pictures import read_gray
 
 _log = logging.getLogger("omnistereo_lib")
 
-_MAX_ERROR_PX = 0.1  # between the two polynomials; beyond it a warning
+# Between the two polynomials, or a fitted lens and its model; beyond it a warning.
+MAX_ERROR_PX = 0.1
 # The five records in file order, with the comment written above each.
 _RECORDS = {
     "poly": "direct polynomial, low to high: angle of a radius",
@@ -193,7 +194,7 @@ def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> No
     means.
     """
     found = {i: _polynomial_error(camera) for i, camera in enumerate(cameras, 1)}
-    errors = {i: error for i, error in found.items() if error > _MAX_ERROR_PX}
+    errors = {i: error for i, error in found.items() if error > MAX_ERROR_PX}
     if not errors:
         return
     numbers = f" of camera{'s' * (len(errors) > 1)} {', '.join(map(str, errors))}"

@@ -29,8 +29,6 @@ _EXPECTED = "expected gray or RGB values of 8 or 16 bits. Convert it."
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
 # width, height, largest value
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
-# tags of TIFF, the first of EXIF, too
-_ORIENTATION, _BITS, _PLANAR, _PHOTOMETRIC = 274, 258, 284, 262
 # Compressions of TIFF: none, and deflate by both of its numbers.
 _PLAIN = (1, 8, 32946)
 # What has been said of the pictures of a folder.
@@ -43,7 +41,7 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
     Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or
     damaged where that shows without decoding it.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import ExifTags, Image, UnidentifiedImageError
 
     content = read_bytes(path)
     try:
@@ -51,7 +49,8 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
             warnings.simplefilter("ignore")
             Image.open(BytesIO(content), formats=_FORMATS).verify()  # the checksums of a PNG
             picture = Image.open(BytesIO(content), formats=_FORMATS)
-            orientation = Image.Image.getexif(picture).get(_ORIENTATION, 1)  # that of PNG decodes
+            # That of PNG decodes.
+            orientation = Image.Image.getexif(picture).get(ExifTags.Base.Orientation, 1)
             if orientation != 1 and picture.format == "TIFF":
                 content = _not_turned(content)
                 picture = Image.open(BytesIO(content), formats=_FORMATS)
@@ -192,13 +191,15 @@ def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
 def _decode(content: bytes, picture: Any) -> NDArray[Any]:
     """Return the pixels of a picture; of 16 bits a colour Pillow only checks: it would round."""
     import cv2
+    from PIL.ExifTags import Base
 
     tags = getattr(picture, "tag_v2", {})  # of a TIFF
-    bits = tags.get(_BITS, (8,))
+    bits = tags.get(Base.BitsPerSample, (8,))
     is_deep = ";16" in str(picture.tile) or max(bits) > 8
-    if is_deep and tags.get(_PLANAR) == 2:
+    if is_deep and tags.get(Base.PlanarConfiguration) == 2:
         raise ValueError("colours of 16 bits that are stored apart")
-    simple = picture.mode in ("L", "RGB", "I;16") and tags.get(_PHOTOMETRIC) in (1, 2)
+    is_plain = tags.get(Base.PhotometricInterpretation) in (1, 2)
+    simple = picture.mode in ("L", "RGB", "I;16") and is_plain
     if simple and {*bits} <= {8, 16} and (pixels := decode_tiff(content, 0)) is not None:
         return pixels
     picture.load()
@@ -237,7 +238,7 @@ def _not_turned(content: bytes) -> bytes:
 
     file = BytesIO(content)
     with tifffile.TiffFile(file, mode="r+") as tiff:
-        tiff.pages.first.tags[_ORIENTATION].overwrite(1)
+        tiff.pages.first.tags["Orientation"].overwrite(1)
     return file.getvalue()
 
 

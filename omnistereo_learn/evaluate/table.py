@@ -19,7 +19,7 @@ from omnistereo_lib.stereo.zncc import default_window
 
 WITHOUT_SKY = "without sky"
 LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
-_RESAMPLES, _SEED = 10_000, 0
+_RESAMPLES = 10_000
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def bootstrap(
     if n < 2:
         return np.stack([value, *np.full((2, *value.shape), np.nan)], -1)
     # how often a frame is drawn
-    times = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1 / n), _RESAMPLES)
+    times = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), _RESAMPLES)
     drawn = statistic(times @ samples / n)
     low, high = np.nanpercentile(drawn, [2.5, 97.5], axis=0)
     return np.stack([value, low, high], -1)

@@ -32,7 +32,7 @@ Array = Any  # a NumPy array or a torch tensor: both have every operation used h
 
 MAX_SIDE = 100_000  # px
 # In pixels, the tolerance of OCamCalib.
-_INVERSE_TOLERANCE = 0.01
+INVERSE_TOLERANCE = 0.01
 # In pixels; keeps the corner pixels inside the image after the rounding of a round trip.
 _EDGE = 1e-6
 # Starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding.
@@ -348,7 +348,7 @@ class OcamCamera:
 
 
 def fit_inverse_polynomial(
-    poly: ArrayLike, max_fov_deg: float, max_radius: float, tolerance: float = _INVERSE_TOLERANCE
+    poly: ArrayLike, max_fov_deg: float, max_radius: float, tolerance: float = INVERSE_TOLERANCE
 ) -> NDArray[np.float64]:
     """Fit the inverse polynomial r(t) with the lowest degree that reaches the tolerance.
 

@@ -16,12 +16,9 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.stereo.kernels import winner_numba
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.threads import map_threads
+from omnistereo_lib.stereo.threads import PART, map_threads
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
-
-# Cells of the volume that a thread reads at a time: 2 MB in float32.
-_CELLS = 1 << 19
 
 
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
@@ -76,7 +73,7 @@ def index_and_confidence(
         )
 
     volume = as_volume(volume)  # (H, W, N)
-    parts = map_threads(read_out, volume.split(max(1, _CELLS // volume[0].numel())))
+    parts = map_threads(read_out, volume.split(max(1, PART // volume[0].numel())))
     index, ratio = torch.cat(list(parts), 1)  # (H, W) each
     return index, ratio
 

@@ -22,7 +22,7 @@ from omnistereo_lib.stereo.kernels import distribution_numba
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sensitivity import calibration_deviation
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.threads import map_threads
+from omnistereo_lib.stereo.threads import PART, map_threads
 
 # Shares of the rays: within σ and within the bound, as of a Gaussian within its σ and its 2 σ.
 WITHIN = (0.683, 0.954)
@@ -34,8 +34,6 @@ _SPHERES = 96
 _CELLS = 32
 # A cost that no ray reaches: infinity is out of the question.
 _MUCH = 1e3
-# Cells of the volume that a thread reads at a time.
-_PART = 1 << 19
 Floats = NDArray[np.float32]
 
 
@@ -111,7 +109,7 @@ def distribution(volume: Tensor, index: Tensor, temperature: float) -> Floats:
         compute = distribution_numba.distribution if on_cpu else distribution_by_torch
         return compute(rows.float(), at.float(), temperature, radius)
 
-    height = max(1, _PART // volume[0].numel())
+    height = max(1, PART // volume[0].numel())
     parts = map_threads(read, volume.split(height), index.split(height))
     return torch.cat(list(parts), 1).cpu().numpy()
 

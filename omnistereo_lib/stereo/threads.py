@@ -8,6 +8,9 @@ from typing import Any, TypeVar
 
 import torch
 
+# Cells of a volume that a thread reads at a time: 2 MB in float32.
+PART = 1 << 19
+
 _Result = TypeVar("_Result")
 
 

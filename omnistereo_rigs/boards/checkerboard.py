@@ -26,7 +26,7 @@ _SMALL = 640
 # Half sizes of windows in pixels: the least that cornerSubPix can use, and what is enough for small
 # squares. A larger window averages more noise, but where squares are slanted or bent it reaches
 # other edges and is biased by them.
-_LEAST_WINDOW, _SMALL_WINDOW = 2, 5
+LEAST_WINDOW, SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 # So many images are searched for a board of another size.
 _SEARCHED = 8
@@ -191,7 +191,7 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     astray = np.linalg.norm(corners - expected, axis=1) > spacing / 4
     start = np.where(astray[:, None], expected, corners).astype(np.float32)
     refined = _sub_pixel(
-        gray, start, np.clip(spacing / 2, _LEAST_WINDOW, np.maximum(_SMALL_WINDOW, spacing / 4))
+        gray, start, np.clip(spacing / 2, LEAST_WINDOW, np.maximum(SMALL_WINDOW, spacing / 4))
     )
     # OpenCV returns the start if a corner leaves its window.
     lost = (refined == start).all(axis=1)

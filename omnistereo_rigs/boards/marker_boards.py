@@ -15,11 +15,11 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_rigs.boards.board import Board, check_edge
+from omnistereo_rigs.boards.checkerboard import LEAST_WINDOW, SMALL_WINDOW
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _BORDERS = (2, 1)  # bits of a tag's black border: Kalibr prints two, others one
 _LARGE, _ENLARGED = 1600, 2  # px of the longer side; smaller images are enlarged
-_LEAST_WINDOW, _WINDOW = 2, 5  # px, half sizes
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _parameters(border: int) -> Any:
 def _refined(gray: NDArray[Any], quad: Floats, spacing: float) -> Floats:
     """Refine the corners of a tag in windows that stay between the tag and its neighbours."""
     edge = np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).min()
-    half = int(np.clip(0.5 * min(spacing, 0.2) * edge, _LEAST_WINDOW, _WINDOW))
+    half = int(np.clip(0.5 * min(spacing, 0.2) * edge, LEAST_WINDOW, SMALL_WINDOW))
     start = quad.reshape(-1, 1, 2).astype(np.float32)
     refined: Floats = (
         cv2.cornerSubPix(gray, start, (half, half), (-1, -1), _STOP)

@@ -20,14 +20,13 @@ from omnistereo_rigs.boards.init import estimate_poses, initial_estimate
 from omnistereo_rigs.boards.params import CalibrationParams, collect_observations
 from omnistereo_rigs.boards.report import FEW_VIEWS, CameraReport
 from omnistereo_rigs.boards.solution import OUTLIER, Solution
+from omnistereo_rigs.formats.fit import MAX_DEGREE
 
 # The degrees that cross-validation tries. Odd ones add little, and beyond 8 nothing was ever gained
 # (notebook 01 shows it).
 DEGREES = (4, 6, 8)
 # A higher degree has to lower the cross-validation error by so many of its standard errors.
 _SIGNIFICANT = 2.0
-# Degrees beyond this are taken for a typing error.
-_MOST = 20
 _FOLDS = 3
 _MIN_VIEWS = 3
 # Four corners determine the pose of a plane; with two more a view says whether the pose fits.
@@ -199,7 +198,7 @@ def _check_corners(name: str, corners: NDArray[Any] | None, board: Board) -> Flo
 def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
     """Raise for a degree or a field of view that cannot be, before any image is searched."""
     if degree is not None:
-        check_number(degree, "degree", DEGREES[0], _MOST, whole=True)
+        check_number(degree, "degree", DEGREES[0], MAX_DEGREE, whole=True)
     if max_fov_deg is not None:
         check_fov(max_fov_deg, "max_fov_deg")
 

@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.camera import INVERSE_TOLERANCE, OcamCamera
 from omnistereo_lib.geometry.field_of_view import (
     ANGLE_STEP,
     AZIMUTHS,
@@ -21,14 +21,14 @@ from omnistereo_lib.geometry.field_of_view import (
     ring_rays,
 )
 from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.ocam_text import MAX_ERROR_PX
 from omnistereo_rigs.formats.camera_models import make_camera_model
 
 _log = logging.getLogger("omnistereo_lib")
 
-_FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
-_MAX_DEGREE = 20
-# px; beyond them a warning, and an error: a lens of another model than the one that is stated
-_MAX_ERROR, _ANOTHER_LENS = 0.1, 10.0
+MAX_DEGREE = 20
+# px; beyond it an error: a lens of another model than the one that is stated
+_ANOTHER_LENS = 10.0
 _LOST = 0.005  # share of the pixels; beyond it a warning
 
 
@@ -70,7 +70,7 @@ def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
             f"{follows} only: no lens is like that. Check the model; k1 k2 k3 k4 of a fisheye "
             "are called plumb_bob by some drivers (T265): then write distortion_model: fisheye"
         )
-    if residual > _MAX_ERROR:
+    if residual > MAX_ERROR_PX:
         warnings.warn(
             f"{follows} only: it has no tangential distortion. Where that is too much, lower "
             "max_fov_deg (`omnistereo rig --max-fov`)",
@@ -154,13 +154,13 @@ def _fit_inverse(radius: Floats, t: Floats) -> Floats:
     """Fit r(t), zero on the axis; coefficients low to high."""
     limits = [-np.pi / 2, t[-1]]
     scaled = (t - limits[0]) / (limits[1] - limits[0])
-    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, _MAX_DEGREE + 1), radius, 3)
+    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, MAX_DEGREE + 1), radius, 3)
     return np.asarray(Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef)
 
 
 def fit_direct_polynomial(radius: Floats, t: Floats) -> Floats:
     """Fit f(r) cos t = r sin t, a1 = 0, to 0.01 px; radii (N,) px, coefficients low to high."""
-    exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
+    exponents = np.array([0, *range(2, MAX_DEGREE + 1)])
     to_px = np.cos(t) * np.gradient(radius, t) / radius  # of the difference of both sides
     powers = (radius / radius[-1])[:, None] ** exponents * (np.cos(t) * to_px)[:, None]
     a = _fit_lowest_degree(powers, radius * np.sin(t) * to_px, 4)
@@ -173,6 +173,6 @@ def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
     fit: Floats = np.zeros(0)
     for count in range(terms, powers.shape[1] + 1):
         fit = np.asarray(np.linalg.lstsq(powers[:, :count], values, rcond=None)[0], np.float64)
-        if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
+        if np.abs(powers[:, :count] @ fit - values).max() < INVERSE_TOLERANCE:
             break
     return fit

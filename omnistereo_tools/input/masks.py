@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.consumer_images import DARK
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
@@ -25,7 +26,6 @@ _LEAST_SHARE = 0.3  # of the directions that show the edge of the circle inside 
 # of the radius, median distance of the edge from a circle; a dark floor is less round
 _ROUND = 0.015
 _OFF_CENTER = 0.2  # of the radius, from the principal point
-_DARK = 8  # gray value: an image, nearly all of which is darker, shows nothing
 _INSIDE_DEG = 3.0  # from the end of the stated field of view; less is blur
 _SHRINK = 0.99  # of the radius: the edge itself is blurred
 
@@ -59,7 +59,7 @@ def with_masks(rig: Rig, images: Sequence[Path]) -> Rig:
 
 def black_cameras(images: Sequence[NDArray[Any]]) -> str | None:
     """Return in words which cameras of a frame show nothing, if any; every 16th pixel is read."""
-    found = [k for k, image in enumerate(images, 1) if np.quantile(image[::4, ::4], 0.99) < _DARK]
+    found = [k for k, image in enumerate(images, 1) if np.quantile(image[::4, ::4], 0.99) < DARK]
     return f"camera {' and '.join(map(str, found))} shows black" if found else None
 
 

@@ -51,11 +51,11 @@ from omnistereo_tools.output.summary import (
     fits,
     turn_sentence,
 )
-from omnistereo_tools.output.viewer import viewer_page
+from omnistereo_tools.output.viewer import WIDEST, viewer_page
 from omnistereo_tools.parser import is_own
 
-# of the panorama that is looked at: columns for a pixel of the images, and in all
-_SHARP, _WIDEST = 1.4, 3600
+# of the panorama that is looked at: columns for a pixel of the images
+_SHARP = 1.4
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} \
@@ -169,7 +169,7 @@ class FrameResult:
     def _blended(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """The blended panorama of a ray a pixel, and the sharper one."""
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
-        factors = 1, finer(self.depth, round(min(_SHARP * held, _WIDEST)))
+        factors = 1, finer(self.depth, round(min(_SHARP * held, WIDEST)))
         colors, sharp = blended_panoramas(self.depth, estimate_gains(self.depth), factors)
         return colors, as_picture(sharp)
 

@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.colors import ColorScale
+from omnistereo_tools.output.pictures import AWAY
 from omnistereo_tools.output.render import around, draw_surfaces
 
 _WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
@@ -22,7 +23,7 @@ _LEFT, _RIGHT = 1040, 580  # px, of pictures in the two columns
 _TEXT, _NAME, _TITLE = 22, 24, 38  # px, of letters
 _DEGREES = 70  # px, of degrees beside a panorama
 _LETTERS = 50  # of a line of a note
-_AWAY, _FROM = 4.5, (0.35, 0.4)  # of the eye: nearest depths from the rig; turn, tilt, radians
+_FROM = 0.35, 0.4  # turn and tilt of the eye, radians
 
 
 def draw_overview(
@@ -60,7 +61,7 @@ def draw_overview(
     right, row = _WIDTH - _GAP - _RIGHT, 120
     page.write((right, row), "Surfaces, from above and behind", "la", _NAME)
     size = _RIGHT, round(0.62 * _RIGHT)
-    twice, eye = (2 * _RIGHT, 2 * size[1]), around(_AWAY * depth.grid.min_depth, *_FROM)
+    twice, eye = (2 * _RIGHT, 2 * size[1]), around(AWAY * depth.grid.min_depth, *_FROM)
     view = draw_surfaces(depth, panorama, trust < DOUBTFUL, eye, twice)
     small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
     page.paste(small, (right, row + 34))

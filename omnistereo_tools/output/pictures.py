@@ -22,7 +22,7 @@ _SOFT = 0.2  # of trust, from not faded to faded
 FILM = 1920, 1080  # px, of a frame of a film: width, height
 _SHARP = 1280  # px, about, of the panorama that the surfaces in it have their colours from
 _STRIP_PX = 44  # height of the note and the scale below the panoramas
-_AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
+AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
 _INK = (0xE8,) * 3
 
 
@@ -81,7 +81,7 @@ def draw_frame(
     )
     doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
-    eye = around(_AWAY * depth.grid.min_depth, turn, _TILT)
+    eye = around(AWAY * depth.grid.min_depth, turn, _TILT)
     view = draw_surfaces(depth, panorama, doubts, eye, (FILM[0], panes(depth.grid)[0]))
     return compose(view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: no depth")
 

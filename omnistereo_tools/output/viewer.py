@@ -29,7 +29,7 @@ from omnistereo_tools.output.points import Limits
 _PAGE = Path(__file__).with_name("page")
 _SCRIPTS = ("data.js", "numbers.js", "ray.js", "gl.js", "draw.js", "page.js")
 _RAY_BYTES = 2_400_000  # of all rays; with the picture the page stays below 5 MB
-_WIDEST = 3600  # px of the picture
+WIDEST = 3600  # px of the picture
 _STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
 _IMAGE_WIDTH, _IMAGE_BYTES = 800, 40_000  # of a fisheye image, at most
 
@@ -209,10 +209,10 @@ def _base64(values: NDArray[Any] | bytes) -> str:
 
 def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
-    if width <= _WIDEST:
+    if width <= WIDEST:
         return picture
     small = cv2.resize(
-        picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA
+        picture, (WIDEST, round(height * WIDEST / width)), interpolation=cv2.INTER_AREA
     )
     return np.asarray(small, np.uint8)
 
