@@ -9,15 +9,12 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
-    try:
-        from omnistereo_tools.cli import main
-        from omnistereo_tools.memory import keep_memory
+    from omnistereo_tools.cli import main
+    from omnistereo_tools.memory import keep_memory
 
-        # A command without it takes 1.3 s more of the system's time (`depth`, 6.4 s).
-        keep_memory()
-        status = main()
-    except KeyboardInterrupt:  # while the command was loaded
-        return 130
+    # A command without it takes 1.3 s more of the system's time (`depth`, 6.4 s).
+    keep_memory()
+    status = main()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to say
     gc.freeze()
     return status

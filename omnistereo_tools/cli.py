@@ -7,7 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import fields
 from difflib import get_close_matches
 from io import TextIOWrapper
@@ -76,17 +76,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
     except KeyboardInterrupt:
-        return _interrupted(options)
+        resumes = "; run the same command to resume" if options and options.resumes else ""
+        return _stop(f"interrupted{resumes}", 130)
+    except BrokenPipeError:  # a reader such as `head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except OSError as error:
-        if error.filename is None:  # what the output has not taken would fail again at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
-            return 141
         place = error.filename or "the output"
         return _stop(f"error: {place} cannot be read or written: {error.strerror}", 2)
     except Exception as error:
-        if isinstance(error.__context__, KeyboardInterrupt):  # modules in C may raise another one
-            return _interrupted(options)
         if isinstance(error, MemoryError) or _EXHAUSTED.search(str(error)):
             lack = "the machine has too little memory or GPU left"
             return _stop(f"error: {lack} ({error}). Ask for less of it.", 2)
@@ -98,11 +96,6 @@ def _say(line: str) -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)  # one may stand in the line
     with bars.external_write_mode(sys.stderr) if bars else nullcontext():
         print(one_line(line), file=sys.stderr, flush=True)
-
-
-def _interrupted(options: Options | None) -> int:
-    resumes = "; run the same command to resume" if options and options.resumes else ""
-    return _stop(f"interrupted{resumes}", 130)
 
 
 def _warn(line: str, said: set[str]) -> None:
@@ -117,8 +110,7 @@ def _stop(line: str, status: int) -> int:
     remove_empty_folders()
     if tqdm := sys.modules.get("tqdm"):
         for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
-            with suppress(AttributeError):  # Ctrl-C came before it was whole
-                bar.close()
+            bar.close()
     _say(line)
     return status
 

@@ -1,7 +1,6 @@
-"""The command line on a bad day: Ctrl-C, a reader that leaves, a full disk, an ASCII terminal.
+"""The command line on a bad day: Ctrl-C, a reader that leaves, little memory, an ASCII terminal.
 Never a traceback."""
 
-import gc
 import io
 import os
 import re
@@ -14,7 +13,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import tqdm
 
 import omnistereo_lib
 from omnistereo_tools import cli
@@ -35,35 +33,11 @@ def stopped(*_):
     signal.raise_signal(signal.SIGINT)
 
 
-def stopped_within_an_import(options):
-    """Modules written in C may raise another error."""
-    try:
-        stopped()
-    finally:
-        raise ImportError("numpy._core.multiarray failed to import")
-
-
-@pytest.mark.parametrize("run", [stopped, stopped_within_an_import])
-def test_a_command_is_stopped(monkeypatch, capsys, run):
+def test_a_command_is_stopped(monkeypatch, capsys):
     doctor = cli.doctor_command
-    monkeypatch.setattr(doctor, "run", wraps(doctor.run)(run))
+    monkeypatch.setattr(doctor, "run", wraps(doctor.run)(stopped))
     assert cli.main(["doctor"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
-
-
-@pytest.mark.parametrize("module", ["omnistereo_tools.cli", "omnistereo_tools.memory"])
-def test_ctrl_c_while_a_command_is_loaded_is_silent(module):
-    """A module of that name raises it when it is imported."""
-    code = f"""import importlib.abc, sys
-class Stop(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, *_):
-        if name == "{module}":
-            raise KeyboardInterrupt
-sys.meta_path.insert(0, Stop())
-from omnistereo_tools.__main__ import start
-sys.exit(start())"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (130, "")
 
 
 @pytest.mark.parametrize("name", ["train", "evaluate"])
@@ -87,22 +61,6 @@ def test_what_is_said_does_not_stand_behind_a_bar_nor_above_it(monkeypatch, caps
     assert re.search(r"sweep: +0%.*\r +\rerror: no room\n$", capsys.readouterr().err)
 
 
-@pytest.mark.parametrize("within", ["_get_free_pos", "status_printer"])
-def test_a_command_is_stopped_while_a_bar_is_made(monkeypatch, capsys, within):
-    """A bar that is not whole can be neither closed nor forgotten."""
-
-    @wraps(cli.doctor_command.run)
-    def run(options):
-        progress_bar()(0, 2, "sweep")
-
-    monkeypatch.setattr(tqdm.tqdm, within, stopped)
-    monkeypatch.setattr(cli.doctor_command, "run", run)
-    assert cli.main(["doctor"]) == 130
-    monkeypatch.undo()
-    gc.collect()
-    assert capsys.readouterr().err == "interrupted\n"
-
-
 @pytest.mark.parametrize("arguments", [["doctor"], ["--help"]], ids=" ".join)
 def test_a_reader_that_leaves(stdout, capsys, arguments):
     reader, writer = os.pipe()
@@ -110,16 +68,6 @@ def test_a_reader_that_leaves(stdout, capsys, arguments):
     with stdout(open(writer, "w")):
         assert cli.main(arguments) == 141
     assert capsys.readouterr().err == ""
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_full_disk(stdout, capsys):
-    with stdout(open("/dev/full", "w")):
-        assert cli.main(["doctor"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "error: the output cannot be read or written: No space left on device\n"
-    )
 
 
 def test_an_ascii_terminal(stdout):
