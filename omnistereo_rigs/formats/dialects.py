@@ -324,7 +324,7 @@ DIALECTS = (
     Dialect(
         name="OpenCV, ROS",
         what="K, D, R, T and the size of each camera, or lists of each: fisheye, omnidirectional "
-             "(`xi`), plumb_bob or rational; double_sphere, eucm, fov by their parameters; also "
+             "(`xi`), plumb_bob or rational; double_sphere, eucm, ucm, fov; also "
              "XML, TOML, npz",
         recognises=opencv.is_opencv, cameras=opencv.cameras,
         model="model", models=opencv.MODELS, aliases=opencv.ALIASES, size=opencv.SIZE,

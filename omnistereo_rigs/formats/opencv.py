@@ -9,8 +9,7 @@ OpenCV defines no keys for a rig, so three layouts are read, as YAML, JSON, XML,
   rectification;
 - lists of one value per camera, as `cv2.calibrateMultiview` returns them.
 
-The model is stated, or shown by the parameters that only it has, or by the 5, 8, 12 or 14
-coefficients of a pinhole.
+The model is stated, or shown by the 5, 8, 12 or 14 coefficients of a pinhole.
 """
 
 import re
@@ -57,14 +56,6 @@ ALIASES = {
         "fov": "atan",
     }.items()
     for word in words.split()
-}
-# A camera that states no model has that one whose parameters it states: the first that fits.
-_SHOWN_BY = {
-    "double_sphere": {"xi", "alpha"},
-    "eucm": {"alpha", "beta"},
-    "omnidir": {"xi"},
-    "ucm": {"alpha"},
-    "fov": {"omega"},
 }
 _OF_A_PINHOLE = (5, 8, 12, 14)  # coefficients of OpenCV; cv2.fisheye has 4
 
@@ -187,7 +178,7 @@ def _flat(cam: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _model(cam: Section) -> str:
-    """Return the model that a camera states, or that its parameters show, by our word."""
+    """Return the model that a camera states, or that its coefficients show, by our word."""
     words = [re.sub(r"[\s-]", "_", cam.word(key)) for key in _WORDS if cam.get(key) is not None]
     flags = [cam.word(key) for key in _FLAGS if cam.get(key) is not None]
     words += ["fisheye" if flag in ("true", "1", "yes", "on") else "pinhole" for flag in flags]
@@ -197,13 +188,12 @@ def _model(cam: Section) -> str:
         raise OmnistereoError(f"two camera models are stated, {' and '.join(words)}. Delete one")
     if words:
         return [*stated, "plumb_bob"][0]
-    if shown := next((name for name, has in _SHOWN_BY.items() if has <= cam.values.keys()), None):
-        return shown
     key = cam.at(D)[1]
     count = parse_floats(cam.get(D, []), key).size
     if count not in _OF_A_PINHOLE:
         raise OmnistereoError(
             f"no model is stated, and {key} has {count} numbers. Add distortion_model: fisheye "
-            "(cv2.fisheye, equidistant), plumb_bob (cv2.calibrateCamera) or none"
+            "(cv2.fisheye, equidistant), plumb_bob (cv2.calibrateCamera), none, omnidir (xi), "
+            "double_sphere, eucm, ucm or fov"
         )
     return "plumb_bob"

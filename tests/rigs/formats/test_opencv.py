@@ -113,12 +113,11 @@ SPHERES = partial(ds, xi=-0.2, alpha=0.6, f=(200, 199), c=(400, 380))
 OMNI = partial(mei, xi=1.2, f=(500, 498), k1=-0.1, k2=0.02)
 SHORT = {"fx": 350.0, "fy": 350.0}
 BY_PARAMETERS = [
-    ({"xi": -0.2, "alpha": 0.6}, SPHERES),
-    ({"params_ds": {"alpha": 0.6, "Xi": -0.2}}, SPHERES),
+    ({"camera_model": "ds", "params_ds": {"alpha": 0.6, "Xi": -0.2}}, SPHERES),
     ({"camera_model": "double_sphere", "xi": -0.2, "alpha": 0.6}, SPHERES),
-    ({"alpha": 0.6, "beta": 1.1}, eucm),
-    ({"omega": 0.9} | SHORT, partial(fov, f=(350, 350))),
-    ({"xi": 1.2, "D": [-0.1, 0.02, 0, 0], "fx": 500, "fy": 498}, OMNI),
+    ({"model": "eucm", "alpha": 0.6, "beta": 1.1}, eucm),
+    ({"model": "fov", "omega": 0.9} | SHORT, partial(fov, f=(350, 350))),
+    ({"model": "omni", "xi": 1.2, "D": [-0.1, 0.02, 0, 0], "fx": 500, "fy": 498}, OMNI),
     ({"D": [-0.1, 0.01, 0, 0, 0], "fx": 400, "fy": 398}, partial(brown, p=(0, 0))),
     ({"model": "none", "fx": 400, "fy": 398}, partial(brown, k=(0, 0), p=(0, 0))),
 ]
@@ -216,7 +215,7 @@ REFUSED = [
     (without("distortion_model", "D", dist_coef=K4), NO_MODEL.format(0)),
     (LENS | {"distortion_model": "thin_prism"}, "model is thin_prism; exp.* one of fisheye"),
     (LENS | {"distortion_model": "mei"}, "camera 1: key 'xi' is missing"),
-    (without("distortion_model", xi=-0.2, alpha=0.6), "camera 1: D has 4 numbers; expected 0"),
+    (without("distortion_model", "D", xi=-0.2, alpha=0.6), NO_MODEL.format(0)),
     (LENS | {"distortion_model": "none"}, "camera 1: D has 4 numbers; expected 0"),
     (LENS | {"xi": 0.5}, "'xi' is a parameter of a lens that is not the one"),
     (LENS | {"k5": 0.1}, "'k5' is a parameter of a lens"),
