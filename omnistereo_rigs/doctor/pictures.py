@@ -59,15 +59,12 @@ class PictureMixup:
         return " and ".join(said)
 
 
-def picture_mixups(evidence: Evidence, rig: Rig, mirrored: bool) -> list[PictureMixup]:
+def picture_mixups(evidence: Evidence, rig: Rig) -> list[PictureMixup]:
     """Return what may have been done to the pictures, best first, those that are simpler with a
     start.
-
-    Args:
-        mirrored: Try mirrored pictures, too, for which features are found once more.
     """
     count, sizes = len(rig), [camera.image_size for camera in rig.cameras]
-    known = [[flip for flip in flips(size) if mirrored or not flip.mirrored] for size in sizes]
+    known = [[*flips(size)] for size in sizes]
     scores = _Scores(evidence, rig)
     found = []
     for order in orders(count) if count <= _MANY else [tuple(range(count))]:

@@ -181,7 +181,7 @@ def _best(evidence: Evidence, rig: Rig) -> _Hypothesis:
 
 def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
     # Pictures first: mirrored, rotated, or in another order.
-    for one in picture_mixups(evidence, rig, mirrored=True)[:1]:
+    for one in picture_mixups(evidence, rig)[:1]:
         changed = [
             k
             for k, (place, flip) in enumerate(zip(one.order, one.flips, strict=True))

@@ -201,18 +201,14 @@ def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int) -> li
 def rig_from_pairs(
     cameras: Sequence[OcamCamera],
     features: Sequence[Sequence[Features]],
-    baseline: float | None = None,
-    radius: float | None = None,
+    baseline: float,
 ) -> Rig:
-    """Return a first rig, frame of camera 1, from features and one length; see `chain_poses`.
-
-    Args:
-        baseline: Distance of cameras 1 and 2.
-        radius: Mean distance of the cameras from their middle.
+    """Return a first rig, frame of camera 1, from features and the distance of cameras 1 and 2; see
+    `chain_poses`.
     """
     # Images show everything but the size; one known length scales all centres.
     rig = Rig(cameras, chain_poses(find_pairs(features), len(cameras)))
-    grown = baseline / rig.baselines[0] if baseline is not None else (radius or 1.0) / _radius(rig)
+    grown = baseline / rig.baselines[0]
     return rig.with_poses([Pose(pose.R, grown * pose.t) for pose in rig.T_rig_cam])
 
 
