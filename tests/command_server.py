@@ -85,7 +85,7 @@ def make_small(setattr):
     Figures are not laid out, which takes as long as drawing them.
     """
     setattr(correlation, "COARSE", (32, 8))
-    setattr(frame, "_WIDEST", 192)
+    setattr(frame, "WIDEST", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
     setattr(pictures, "_SHARP", 192)
     setattr(matplotlib.layout_engine.ConstrainedLayoutEngine, "execute", lambda *_: None)
