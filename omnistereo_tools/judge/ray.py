@@ -30,6 +30,7 @@ ALIKE = 0.5  # of the agreement of the best two cameras: others that agree, too
 CLEAR = 0.8  # of the agreement at the estimate: a second depth that is below stands no comparison
 WEAK = 0.25  # agreement that is none
 VALLEY = 0.1  # by which the agreement falls between two depths that count as two
+WIDE = 4.0  # tolerances that a plateau reaches from the estimate: then the curve decides nothing
 FLAT = 2.0  # gray values, standard deviation of a patch without texture
 NEARER = 0.8  # of a distance: what is this much nearer stands in front
 AROUND_DEG = 3.4  # how far around a ray the depths beside it are looked up
@@ -127,28 +128,41 @@ class Ray:
         )
 
     @cached_property
+    def plateau(self) -> tuple[int, int]:
+        """First and last sphere around the peak up to which the agreement falls by no `VALLEY`."""
+        if self.peak is None:
+            return 0, -1
+        lower = np.flatnonzero(~(self.agreement >= self.peak.agreement - VALLEY))
+        place = int(np.searchsorted(lower, self.peak.sphere))
+        first, last = [-1, *lower, len(self.agreement)][place : place + 2]
+        return int(first) + 1, int(last) - 1
+
+    @cached_property
     def rival(self) -> Mode | None:
-        """The depth other than the estimate at which the patches agree best."""
-        return next(
-            (mode for mode in self.modes if abs(mode.sphere - self.index) > tolerance(self.index)),
-            None,
-        )
+        """The depth beside the plateau of the estimate at which the patches agree best."""
+        (first, last), least = self.plateau, tolerance(self.index)
+        others = (mode for mode in self.modes if not first <= mode.sphere <= last)
+        return next((mode for mode in others if abs(mode.sphere - self.index) > least), None)
 
     @property
     def kind(self) -> str:
         """Which of the `SENTENCES` is true: the first whose rule holds."""
         other, sure = self.rival.agreement if self.rival else -1.0, self.likely >= SURE
-        if self.sees.sum() < 2:
+        agrees = self.chosen >= WEAK  # False where it is NaN
+        if np.isnan(self.agreement).all():
             return "unseen"
-        if self.contrast < FLAT:
+        if self.sees.any() and self.contrast < FLAT:
             return "flat"
-        if not max(self.chosen, other) >= WEAK:
+        if not agrees and other < WEAK:
             return "unlike"
-        if self.chosen >= WEAK and other < CLEAR * self.chosen:
+        reach = np.abs(np.subtract(self.plateau, self.index)).max()
+        if agrees and reach > WIDE * tolerance(self.index):
+            return "wide"
+        if agrees and other < CLEAR * self.chosen:
             return "agrees" if sure else "weak"
         if sure:
             return "decided"
-        return "either" if self.chosen >= WEAK and CLEAR * other <= self.chosen else "elsewhere"
+        return "either" if agrees and CLEAR * other <= self.chosen else "elsewhere"
 
     @property
     def note(self) -> str:
@@ -177,9 +191,15 @@ class Ray:
     @property
     def sentence(self) -> str:
         """Why the depth is what it is, and whether to believe it."""
-        other = told(float(self.grid.index_to_depth(self.rival.sphere))) if self.rival else ""
+        spheres = [self.rival.sphere if self.rival else 0, *self.plateau]
+        other, farther, nearer = (told(float(self.grid.index_to_depth(n))) for n in spheres)
         return (SENTENCES[self.kind] + NOTES[self.note]).format(
-            count=self.alike, depth=told(self.depth), other=other, nearest=told(self.nearest)
+            count=self.alike,
+            depth=told(self.depth),
+            other=other,
+            nearest=told(self.nearest),
+            nearer=nearer,
+            farther=farther,
         )
 
 
@@ -189,8 +209,12 @@ SENTENCES = {
     "flat": "There is no texture here: the depth comes from the rays beside it.",
     "agrees": "{count} cameras agree at {depth}, clearly better than at any other depth.",
     "weak": "{count} cameras agree best at {depth}, but it is not certain.",
-    "decided": ("The cameras agree at {other}, too, but all around this ray speaks for {depth}."),
-    "either": ("{count} cameras agree at {depth}, and about as well at {other}: it may be either."),
+    "wide": (
+        "The cameras agree about as well anywhere from {nearer} to {farther}: {depth} comes from"
+        " the rays beside it."
+    ),
+    "decided": "Everything around it speaks for {depth}; the cameras also agree at {other}.",
+    "either": "{count} cameras agree at {depth}, and about as well at {other}: it may be either.",
     "elsewhere": (
         "The cameras agree better at {other}, and the rays beside it speak for {depth}: doubtful."
     ),
@@ -198,9 +222,9 @@ SENTENCES = {
 }
 NOTES = {
     "": "",
-    "nearest": " It is hardly nearer than {nearest}.",
+    "nearest": " It is unlikely to be nearer than {nearest}.",
     "edge": " There is probably an edge: something beside it is at {other}.",
-    "look-alike": " Nothing around it is at {other}: that only looks alike.",
+    "look-alike": " Nothing around it is at {other}, so {depth} is likelier.",
 }
 
 
@@ -223,6 +247,7 @@ def for_the_page() -> dict[str, Any]:
         "clear": CLEAR,
         "weak": WEAK,
         "valley": VALLEY,
+        "wide": WIDE,
         "flat": FLAT,
         "nearer": NEARER,
         "onTheWay": ON_THE_WAY,

@@ -61,13 +61,14 @@ def test_each_kind_of_sentence_has_its_rule(box, kind):
     base = {"sees": np.ones(4, bool), "contrast": 20.0, "scores": 0.5 * bump, "likely": 0.95}
     base["nearest"] = np.nan
     changed = {
-        "unseen": {"sees": np.arange(4) == 0},
+        "unseen": {"scores": np.nan * bump},
         "flat": {"contrast": 0.5},
         "agrees": {},
         "weak": {"likely": 0.6},
         "decided": {"scores": 0.5 * bump + 0.45 * away},
         "either": {"scores": 0.5 * bump + 0.45 * away, "likely": np.nan},
         "elsewhere": {"scores": 0.5 * bump + 0.8 * away, "likely": 0.6},
+        "wide": {"scores": 0.5 * pairs + 0.05 * bump},
         "unlike": {"scores": 0.2 * bump},
     }[kind]
     assert replace(one, **base).kind == "agrees"
@@ -75,6 +76,29 @@ def test_each_kind_of_sentence_has_its_rule(box, kind):
     assert found.kind == kind and "{" not in found.sentence
     if "{depth}" in ray.SENTENCES[kind]:
         assert f"{found.depth:.2f} m" in found.sentence
+
+
+def test_a_ray_is_unseen_only_if_no_depth_has_two_cameras(box):
+    """On the sample, the road below was estimated too near, where one camera saw it."""
+    one = ray.explain(box, 80, 20)
+    n = round(one.index)
+    bump = np.ones((6, 1)) * np.exp(-((np.arange(64) - (n + 25) % 64) ** 2) / 8.0)
+    scores = np.where(np.abs(np.arange(64) - n) < 8, np.nan, 0.5 * bump)
+    found = replace(one, scores=scores, sees=np.arange(4) == 0, contrast=20.0, likely=0.3)
+    assert found.kind == "elsewhere"
+
+
+def test_depths_that_agree_as_well_as_the_estimate_without_a_valley_are_a_plateau(box):
+    """Such as white paint and the sky: they are named as a range, not as second depths."""
+    one = ray.explain(box, 80, 20)
+    n = round(one.index)
+    scores = np.where((np.arange(64) > n - 10) & (np.arange(64) < n + 15), 0.5, 0.1) * np.ones(
+        (6, 1)
+    )
+    found = replace(one, scores=scores, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
+    assert found.plateau == (n - 9, n + 14) and found.kind == "wide" and found.rival is None
+    ends = [ray.told(float(box.grid.index_to_depth(at))) for at in (n + 14, n - 9)]
+    assert f"from {ends[0]} to {ends[1]}" in found.sentence
 
 
 def test_a_second_depth_is_an_edge_if_it_is_found_around_and_else_a_look_alike(box):
@@ -118,7 +142,9 @@ def test_a_depth_that_is_not_certain_is_told_with_the_near_end_of_its_bound(box)
     one = ray.explain(box, 80, 20)
     bump = np.ones((6, 1)) * np.exp(-((np.arange(64) - round(one.index)) ** 2) / 8.0)
     weak = replace(one, scores=0.5 * bump, sees=np.ones(4, bool), contrast=20.0, likely=0.6)
-    assert replace(weak, nearest=4.714).sentence.endswith("It is hardly nearer than 4.71 m.")
+    assert replace(weak, nearest=4.714).sentence.endswith(
+        "It is unlikely to be nearer than 4.71 m."
+    )
     assert replace(weak, nearest=np.nan).note == ""
 
 

@@ -7,7 +7,7 @@ right where nothing that it says is contradicted by its curve or by the exact de
 - agrees, decided: the depth is right;
 - unlike: what is said of the curve is true by how it is found, so what is looked up is the bound
   that stands below it; either, elsewhere: that, or the other depth that is named is right;
-- weak: it is not nearer than is said;
+- weak: it is not nearer than is said; wide: it is within the depths that are named;
 - notes: the other depth is, or is not, among the exact depths around.
 """
 
@@ -95,6 +95,9 @@ def is_right(one: Ray, exact: Ray, right: bool, within: bool) -> bool:
     """Return whether a sentence is right, given what is said of the exact point of its ray."""
     if one.kind == "unseen":
         return bool(exact.sees.sum() < 2)
+    if one.kind == "wide":
+        first, last = one.plateau
+        return bool(abs(exact.index - np.clip(exact.index, first, last)) <= tolerance(exact.index))
     if one.kind == "flat":
         return exact.contrast < 2 * FLAT
     if one.kind in ("agrees", "decided"):
@@ -120,12 +123,14 @@ def table() -> str:
     results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     rows = ["| sentence | rays | depth right | sentence right |", "|---|---|---|---|"]
     for kind, of in results["kinds"].items():
-        text = SENTENCES[kind].format(count="three", depth="5.89 m", other="12.8 m")
+        text = SENTENCES[kind].format(
+            count="three", depth="5.89 m", other="12.8 m", nearer="3.02 m", farther="31.0 m"
+        )
         count, right, sentence, _ = of.values()
         share = 100 * count / results["rays"]
         rows.append(f"| {text} | {share:.0f} % | {right} % | {sentence} % |")
     for note, of in results["notes"].items():
-        text = NOTES[note].strip().format(other="12.8 m", nearest="4.71 m")
+        text = NOTES[note].strip().format(depth="5.89 m", other="12.8 m", nearest="4.71 m")
         share = 100 * of["rays"] / results["rays"]
         rows.append(f"| … {text} | {share:.0f} % | | {of['right, %']} % |")
     return "\n".join(rows) + "\n"

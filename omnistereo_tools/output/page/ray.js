@@ -79,6 +79,16 @@ function modesOf(agreement) {
   return modes;
 }
 
+// The first and the last sphere around the peak up to which the agreement falls by no valley.
+function plateauOf(agreement, peak) {
+  if (peak < 0) return [0, -1];
+  const high = n => agreement[n] >= agreement[peak] - R.valley;
+  let [first, last] = [peak, peak];
+  while (high(first - 1)) first--;
+  while (high(last + 1)) last++;
+  return [first, last];
+}
+
 // Whether the panorama shows something much nearer on the way from the end of a ray to a camera.
 function isHidden(ray, inverseDepth, camera) {
   if (!(inverseDepth > D.inverse[0])) return false;
@@ -114,14 +124,15 @@ function explain(k) {
   const open = D.cameras.filter((_, i) => sees[i] && !hidden[i]);
   const near = [...agreement.keys()].filter(n => Math.abs(n - index) <= toleranceOf(index) && !Number.isNaN(agreement[n]));
   const peak = near.length ? near.reduce((m, n) => agreement[n] > agreement[m] ? n : m) : -1;
-  const modes = modesOf(agreement);
+  const modes = modesOf(agreement), plateau = plateauOf(agreement, peak);
+  const beside = mode => mode.sphere < plateau[0] || mode.sphere > plateau[1];
   const found = {
-    k, ray, square, index, agreement, sees, hidden, modes,
+    k, ray, square, index, agreement, sees, hidden, modes, plateau,
     alike: peak < 0 ? 0 : alikeOf(along[peak].found),
     likely: likelyRight(k, toleranceOf(index)),
     contrast: Math.max(0, ...at.patches.filter(patch => patch).map(spread)),
     chosen: peak < 0 ? NaN : agreement[peak],
-    rival: modes.find(mode => Math.abs(mode.sphere - index) > toleranceOf(index)),
+    rival: modes.find(mode => beside(mode) && Math.abs(mode.sphere - index) > toleranceOf(index)),
     shift: open.length < 2 ? NaN : tiltShift(ray, estimate, open.map(camera => camera.place)),
   };
   return Object.assign(found, { kind: kindOf(found) });
@@ -141,11 +152,12 @@ function likelyRight(k, spheres) {
 }
 
 // Which sentence is true: the first whose rule holds.
-function kindOf({ sees, contrast, chosen, rival, likely }) {
+function kindOf({ agreement, index, sees, contrast, chosen, plateau, rival, likely }) {
   const other = rival ? rival.agreement : -1, sure = likely >= R.sure, peak = chosen >= R.weak;
-  if (sees.filter(Boolean).length < 2) return "unseen";
-  if (contrast < R.flat) return "flat";
+  if (agreement.every(Number.isNaN)) return "unseen";
+  if (sees.some(Boolean) && contrast < R.flat) return "flat";
   if (!peak && !(other >= R.weak)) return "unlike";
+  if (peak && plateau.some(n => Math.abs(n - index) > R.wide * toleranceOf(index))) return "wide";
   if (peak && other < R.clear * chosen) return sure ? "agrees" : "weak";
   if (sure) return "decided";
   return peak && R.clear * other <= chosen ? "either" : "elsewhere";
@@ -183,6 +195,7 @@ function sentenceOf(found) {
     count: found.alike, depth: metres(1 / inverse(found.k)),
     other: found.rival && metres(1 / inverseOf(found.rival.sphere)),
     nearest: metres(1 / (inverse(found.k) + bound(found.k))),
+    farther: metres(1 / inverseOf(found.plateau[0])), nearer: metres(1 / inverseOf(found.plateau[1])),
   };
   return (R.sentences[found.kind] + R.notes[noteOf(found)]).replace(/\{([^}]+)\}/g, (_, name) => words[name]);
 }
