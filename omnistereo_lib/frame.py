@@ -27,6 +27,7 @@ from omnistereo_lib.pictures import (
     read_pixels,
 )
 
+_FEW, _SPANS = 1e-3, 1.0  # of a float image: pixels, and ranges of all others; see `Frame.of`
 # Of depth files: what stands in their tags.
 _SOFTWARE, _CHECKSUM = "omnistereo", "sha256 of the values"
 
@@ -56,6 +57,9 @@ class Frame:
     def of(cls, rig: Rig, images: Frame | Sequence[ArrayLike]) -> Frame:
         """Return a frame of a rig and its images: one array per camera, (height, width) or (height,
         width, 3), RGB; or a frame, which is returned as it is if its cameras are those of the rig.
+
+        Of float images all but one pixel in a thousand at either end make a range. What is beyond
+        it by more than that range, such as a hot pixel of 1e12, is taken for as bright.
 
         Raises:
             OmnistereoError: If there is not one image per camera, or one has the wrong size, shape
@@ -173,7 +177,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
         if image.dtype != np.uint8:
-            arrays[i] = _single(image, f"image {i + 1}")
+            arrays[i] = _within_range(image, f"image {i + 1}")
     # Gray and colour images together are all in colour.
     if len({image.ndim for image in arrays}) > 1:
         arrays = [
@@ -182,8 +186,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     return arrays
 
 
-def _single(image: NDArray[Any], name: str) -> NDArray[np.float32]:
-    """Return a float image in float32; an `OmnistereoError` if it is not finite there."""
+def _within_range(image: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """Return a float image in float32, no pixel of which is far from all others; see `Frame.of`."""
     with np.errstate(over="ignore"):
         single = np.asarray(image, np.float32)
     if not np.isfinite(single).all():
@@ -191,7 +195,14 @@ def _single(image: NDArray[Any], name: str) -> NDArray[np.float32]:
             f"{name} has NaN or infinite values, or too large for float32; expected finite gray "
             "values"
         )
-    return single
+    # The range without the most extreme pixels, whose three colours may all be.
+    values = single[::2, ::2].ravel()
+    few = min(max(3, int(_FEW * len(values))), (len(values) - 1) // 2)
+    low, high = np.partition(values, (few, -1 - few))[[few, -1 - few]]
+    span = _SPANS * (high - low)
+    if span == 0 or (single.min() >= low - span and single.max() <= high + span):
+        return single
+    return single.clip(low - span, high + span)
 
 
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:

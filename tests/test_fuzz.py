@@ -220,7 +220,7 @@ def samples(folder):
     it is damaged)."""
     for file, text in EXAMPLES.values():  # some read a second one beside them
         (folder / file).write_text(text)
-    lenses = ("camodocal camera", "Gyroflow lens profile")
+    lenses = ("camodocal camera", "Gyroflow lens profile", "Metashape lens")
     found = {"ocam": ("ocam1.txt", OCAM_TXT, read_any_camera, check_camera)}
     for name in EXAMPLES.keys() - {"a folder", "COLMAP model"}:
         kind = (read_any_camera, check_camera) if name in lenses else (in_metres, check_rig)

@@ -5,8 +5,8 @@ camera, so that the rest of the library uses a single camera class.
 
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified
 models); Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007
-(omni); Devernay and Faugeras 2001 (fov); the manual of OpenCV (pinhole); projectaria-tools
-(fisheye624).
+(omni); Devernay and Faugeras 2001 (fov); the manuals of OpenCV (pinhole) and Metashape;
+projectaria-tools (fisheye624), NVIDIA's DriveWorks (f-theta).
 """
 
 from collections.abc import Callable, Mapping
@@ -28,6 +28,8 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 FISHEYE = ("k1", "k2", "k3", "k4")
 FISHEYE624 = (*(f"k{n}" for n in range(6)), "p0", "p1", "s0", "s1", "s2", "s3")
 RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
+F_THETA = tuple(f"p{k}" for k in range(1, 16))
+METASHAPE = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 
 # x and y on the plane, and where they exist and are one to one; elsewhere they mean nothing.
 Plane = tuple[Floats, Floats, NDArray[np.bool_]]
@@ -87,6 +89,27 @@ def _kannala_brandt(rays: Floats, **k: float) -> Plane:
     return _radial(rays, _odd([k.get(name, 0.0) for name in FISHEYE]))
 
 
+# The radius on the plane at an angle from the axis, by the usual names of the projections.
+RADII: dict[str, Callable[[Any], Any]] = {
+    "rectilinear": lambda t: np.where(t < np.radians(MAX_PINHOLE_DEG / 2), np.tan(t), np.nan),
+    "equidistant": lambda theta: theta,
+    "equisolid": lambda theta: 2 * np.sin(theta / 2),
+}
+
+
+def _metashape(rays: Floats, projection: str, **distortion: float) -> Plane:
+    """One of `RADII`, then the distortion of a pinhole camera.
+
+    k4 is the coefficient of r⁸; p1 and p2 are the p2 and p1 of OpenCV, and grow with
+    1 + p3 r² + p4 r⁴.
+    """
+    *k, p1, p2, p3, p4 = (distortion.get(name, 0.0) for name in METASHAPE)
+    x, y, valid = _radial(rays, RADII[projection])
+    r2 = x * x + y * y
+    grown = 1 + p3 * r2 + p4 * r2 * r2
+    return *_distorted(x, y, Polynomial([1, *k])(r2), p2 * grown, p1 * grown), valid
+
+
 def _fisheye624(rays: Floats, p0: float, p1: float, **more: float) -> Plane:
     """Six radial, two tangential (p0, p1) and four thin prism terms.
 
@@ -97,6 +120,15 @@ def _fisheye624(rays: Floats, p0: float, p1: float, **more: float) -> Plane:
     x, y, valid = _radial(rays, _odd(k))
     r2, dot = x * x + y * y, 1 + 2 * (p0 * x + p1 * y)
     return x * dot + r2 * (p0 + s0 + s1 * r2), y * dot + r2 * (p1 + s2 + s3 * r2), valid
+
+
+def _f_theta(rays: Floats, to_angle: float, **p: float) -> Plane:
+    """A polynomial p1 x + p2 x² + …: θ of a radius (to_angle = 1), or r(θ), as far as it grows."""
+    r = Polynomial([0, *(p.get(name, 0.0) for name in F_THETA)])
+    if not to_angle:
+        return _radial(rays, _increasing(r))
+    radii = np.linspace(0, min(_end(r), 1e3), 1 << 17)  # linear between them: 1e-8 of a radius
+    return _radial(rays, lambda theta: np.interp(theta, r(radii), radii, right=np.nan))
 
 
 class _Model(NamedTuple):
@@ -114,7 +146,10 @@ _MODELS = {
     "pinhole": _Model(_pinhole, (), (*RADTAN, "rpmax")),
     "fov": _Model(_field_of_view, ("w",)),
     "fisheye624": _Model(_fisheye624, FISHEYE624),
+    "ftheta": _Model(_f_theta, ("to_angle", "p1"), F_THETA[1:]),
 }
+for _name in RADII:
+    _MODELS[f"metashape {_name}"] = _Model(partial(_metashape, projection=_name), (), METASHAPE)
 _RANGES: dict[str, tuple[float, float]] = dict.fromkeys(("fx", "fy"), (1.0, 1e6))
 _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
 
@@ -122,8 +157,8 @@ _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np
 def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
     """Return the projection of a named model: rays (..., 3) → pixels (..., 2), valid (...).
 
-    `parameters` are fx, fy, cx, cy in pixels, those of the model, and `skew` of the affine
-    map u = fx x + skew y + cx, v = fy y + cy.
+    `parameters` are fx, fy, cx, cy in pixels, those of the model, and `skew` and `shear` of the
+    affine map u = fx x + skew y + cx, v = shear x + fy y + cy.
 
     Raises:
         OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of
@@ -131,11 +166,12 @@ def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
     """
     if model not in _MODELS:
         raise OmnistereoError(
-            f"camera model {model!r} is unknown; expected one of {[*_MODELS]}. Recalibrate with it"
+            f"camera model {model!r} is unknown; expected one of {[*_MODELS][:9]}. Recalibrate "
+            "with it"
         )
     plane, needed, optional = _MODELS[model]
     needed = (*PINHOLE, *needed)
-    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew"}:
+    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew", "shear"}:
         raise OmnistereoError(
             f"camera model {model!r} needs the parameters {list(needed)}, found {list(parameters)}"
         )
@@ -156,11 +192,12 @@ def _project(
     cx: float,
     cy: float,
     skew: float = 0.0,
+    shear: float = 0.0,
     **own: float,
 ) -> Projected:
     with np.errstate(all="ignore"):  # where it is not valid
         x, y, valid = plane(np.asarray(rays, np.float64), **own)
-        return np.stack([fx * x + skew * y + cx, fy * y + cy], -1), valid
+        return np.stack([fx * x + skew * y + cx, shear * x + fy * y + cy], -1), valid
 
 
 def _components(rays: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -197,6 +234,12 @@ def _radtan(x: Floats, y: Floats, coefficients: Mapping[str, float]) -> tuple[Fl
     k1, k2, p1, p2, k3, k4, k5, k6 = (coefficients.get(name, 0.0) for name in RADTAN)
     r2 = x * x + y * y
     radial = Polynomial([1, k1, k2, k3])(r2) / Polynomial([1, k4, k5, k6])(r2)
+    return _distorted(x, y, radial, p1, p2)
+
+
+def _distorted(x: Floats, y: Floats, radial: Any, p1: Any, p2: Any) -> tuple[Floats, Floats]:
+    """Scale points of the plane, and add the tangential distortion of OpenCV."""
+    r2 = x * x + y * y
     return (
         x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,

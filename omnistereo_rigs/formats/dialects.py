@@ -7,20 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
-from omnistereo_lib.parse import Section, check_count
+from omnistereo_lib.parse import Section, check_count, parse_floats
 from omnistereo_lib.rig_file import MAX_BYTES
 from omnistereo_rigs.formats import colmap, opencv
 from omnistereo_rigs.formats.camera_models import (
+    F_THETA,
     FISHEYE,
     FISHEYE624,
+    METASHAPE,
     PINHOLE,
     RADTAN,
 )
 from omnistereo_rigs.formats.table import (
     ALL,
+    FLU,
     K9,
     OPENGL,
     Dialect,
@@ -28,6 +32,7 @@ from omnistereo_rigs.formats.table import (
     Value,
     Way,
     in_order,
+    numbers,
     parse_pose,
 )
 
@@ -119,6 +124,17 @@ def _frames(data: Section, path: Path) -> list[Section]:
     return found
 
 
+def _sensors(data: Section, path: Path) -> list[Section]:
+    """Return the cameras among the sensors, with R of roll, pitch, yaw in degrees: Rz Ry Rx."""
+    data.note("axes and pixel centres are as DriveWorks documents them, not checked with it")
+    sensors = data.section("rig").sections("sensors").values()
+    cams = [each for each in sensors if "camera" in str(each.get("name", "camera"))]
+    for cam in cams:
+        degrees = cam.floats("nominalSensor2Rig_FLU.roll-pitch-yaw", 3)
+        cam.values["R"] = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix().tolist()
+    return cams
+
+
 def _sockets(data: Section, path: Path) -> list[Section]:
     """Return the cameras in the order of their sockets; the root states no rotation."""
     cams, items = dict[str, Section](), data.require("cameraData")
@@ -139,6 +155,34 @@ def _sockets(data: Section, path: Path) -> list[Section]:
                 pose.values["rotationMatrix"] = np.eye(3).tolist()
         cams[cam.name] = cam
     return [cams[name] for name in in_order(cams)]
+
+
+# Parameters that are more than numbers in their order.
+
+
+def _metashape(lens: Section) -> dict[str, float]:
+    """Return its numbers; u = (f + b1) x + b2 y + cx, v = f y + cy, from the middle."""
+    found = numbers(lens, {"f": "f"} | {f"{key}?": key for key in METASHAPE})
+    b1, b2, cx, cy = (lens.number(key, 0) for key in ("b1", "b2", "cx", "cy"))
+    middle = {"cx": lens.number("width") / 2 + cx - 0.5, "cy": lens.number("height") / 2 + cy - 0.5}
+    return found | middle | {"fx": found["fx"] + b1, "skew": b2}
+
+
+def _f_theta(sensor: Section) -> dict[str, float]:
+    """Return its numbers, radii in units of 100 px: u = c x + d y + cx, v = e x + y + cy."""
+    kind = sensor.word("properties.polynomial-type", "pixeldistance-to-angle")
+    if kind not in ("pixeldistance-to-angle", "angle-to-pixeldistance"):
+        raise OmnistereoError(f"polynomial-type is {kind}; expected pixeldistance-to-angle")
+    terms = parse_floats(str(sensor.require("properties.polynomial|bw-poly")).split(), "polynomial")
+    if terms[0] != 0 or not 2 <= len(terms) <= 1 + len(F_THETA):
+        raise OmnistereoError(f"polynomial is {terms}; expected 0 and 1 to 15 coefficients")
+    to_angle = kind.startswith("pixel")
+    terms = terms * 100.0 ** np.arange(len(terms)) if to_angle else terms / 100
+    found = {"to_angle": float(to_angle), "fy": 100.0}
+    for key, ours, default in (("c", "fx", 1), ("d", "skew", 0), ("e", "shear", 0)):
+        found[ours] = 100 * sensor.number(f"properties.linear-{key}", default)
+    center = numbers(sensor, {f"properties.{key}": key for key in ("cx", "cy")})
+    return found | center | dict(zip(F_THETA, terms[1:].tolist(), strict=False))
 
 
 # What recognises a file.
@@ -191,6 +235,8 @@ _FL_RADTAN: dict[str, str] = _FL | {f"{key}?": key for key in RADTAN[:5]}
 _NOT_OF_A_CAMERA = """file_path depth_file_path colmap_im_id sharpness depth_unit_scale_factor
 train_filenames val_filenames test_filenames ply_file_path mask_path aabb_scale scale
 offset applied_transform orientation_override camera_angle_x camera_angle_y"""
+_FISHEYES = {"fisheye": "equidistant", "equidistant_fisheye": "equidistant"}
+_FISHEYES |= {"frame": "rectilinear", "equisolid_fisheye": "equisolid"}
 # These programs project a fisheye by x / z and y / z: no point beyond 90° can have been used.
 _AHEAD = 180.0
 _DIVIDES = {"kb4": _AHEAD}
@@ -303,6 +349,23 @@ DIALECTS = (
         poses=(Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation",
                    is_quaternion=True),),
         unit="metres", measured_deg={"fisheye624": _AHEAD},
+    ),
+    Dialect(
+        name="DriveWorks rig",
+        what="cameras with an f-theta polynomial and nominalSensor2Rig_FLU",
+        recognises=_items("sensors", "properties"), cameras=_sensors, settings=True,
+        model="properties.Model", models={"ftheta": ("ftheta", _f_theta)},
+        size="properties.width properties.height",
+        poses=(Way("R nominalSensor2Rig_FLU.t", FLU),), unit="metres",
+        values=dict.fromkeys(("correction_sensor_R_FLU", "correction_rig_T"),
+                             Value((), "Add it to nominalSensor2Rig_FLU, and delete it")),
+    ),
+    Dialect(
+        name="Metashape lens", what="XML of one camera", recognises=_has("calibration"),
+        cameras=lambda data, path: [data.add("", data.require("calibration"), "calibration")],
+        model="projection=frame", size="width height", unit="",
+        models={word: (f"metashape {ours}", _metashape) for word, ours in _FISHEYES.items()},
+        measured_deg={f"metashape {ours}": _AHEAD for ours in _FISHEYES.values()},
     ),
     _COLMAP,
     replace(

@@ -34,9 +34,10 @@ METRES = {"metres": 1.0, "centimetres": 0.01}  # of the unit of a row; 1 where i
 K9 = ("fx", "skew", "cx", "0", "fy", "cy", "0", "0", "1")  # a camera matrix, row by row
 ALL = ("*",)  # every number of a mapping, by its name
 OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenGL (y up, z back) in those of OpenCV
+FLU = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # camera axes in x forward, y left, z up
 
 Names = Sequence[str] | str  # of numbers in their order, or of one number
-Parameters = Mapping[str, Names]  # by their paths
+Parameters = Mapping[str, Names] | Callable[[Section], Mapping[str, Any]]  # by their paths
 
 
 class Way(NamedTuple):
@@ -134,7 +135,7 @@ def _lens(row: Dialect, cam: Section, path: Path, n: int) -> Lens:
     sides = [cam.require(place) for place in row.size.split()]
     names = " and ".join(cam.at(place)[1] for place in row.size.split())
     size = parse_size(sides if len(sides) > 1 else sides[0], names)
-    parameters = _numbers(cam, spec)
+    parameters = dict(spec(cam) if callable(spec) else numbers(cam, spec))
     shared = {"cx", "cy"} & parameters.keys()  # what is missing is named below
     parameters |= {axis: parameters[axis] - row.origin for axis in shared}
     name = row.mask(cam, n)
@@ -160,7 +161,7 @@ def _word(row: Dialect, cam: Section) -> str:
     return word
 
 
-def _numbers(cam: Section, spec: Parameters) -> dict[str, float]:
+def numbers(cam: Section, spec: Mapping[str, Names]) -> dict[str, float]:
     """Return the numbers of a lens by our names, from their places; marked "?" may be missing."""
     found: dict[str, float] = {}
     for mark, names in spec.items():

@@ -73,7 +73,17 @@ def test_images_that_are_no_numbers_are_one_error(value):
         depth([value, *IMAGES[1:]])
 
 
-def test_a_float_image_is_taken_as_it_is():
+@pytest.mark.parametrize("value", [1e12, -1e6, 65504.0])
+def test_one_pixel_of_a_float_image_moves_no_ray_but_its_neighbours(value):
+    images = [image.astype(np.float64) for image in scene.images(RIG)]
+    before = depth(images, method="zncc").inverse_depth
+    images[0] = images[0].copy()
+    images[0][28, 30] = value
+    after = depth(images, method="zncc").inverse_depth
+    assert (~np.isclose(after, before, rtol=0.05, equal_nan=True)).sum() < 20
+
+
+def test_a_float_image_without_such_pixels_is_taken_as_it_is():
     images = [image.astype(np.float32) for image in IMAGES]
     for image, taken in zip(images, osl.Frame.of(RIG, images).images, strict=True):
         assert taken is image

@@ -185,6 +185,22 @@ MEI = {
     "distortion_parameters": {"k1": -0.05, "k2": 0.01, "p1": 0.0, "p2": 0.0},
     "projection_parameters": {"gamma1": 560.0, "gamma2": 558.0, "u0": 400.0, "v0": 380.0},
 }
+METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<calibration>
+  <projection>{projection}</projection>
+  <width>800</width>
+  <height>760</height>
+  <f>240.0</f>
+  <cx>3.5</cx>
+  <cy>-2.0</cy>
+  <b1>1.5</b1>
+  <b2>-0.5</b2>
+  <k1>-0.02</k1>
+  <k2>0.004</k2>
+  <k4>0.0001</k4>
+  <date>2026-01-01T00:00:00Z</date>
+</calibration>
+"""
 # The examples of book/own_cameras.md: name, or file of a second one → file, content.
 PAGE = (Path(__file__).parents[3] / "book" / "own_cameras.md").read_text(encoding="utf-8")
 EXAMPLES = {

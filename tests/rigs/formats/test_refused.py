@@ -8,8 +8,10 @@ import pytest
 import yaml
 from rigs.formats.rig_file_samples import (
     DOUBLE_SPHERE,
+    EXAMPLES,
     K4,
     MEI,
+    METASHAPE,
     SIZE,
     K,
     basalt,
@@ -50,12 +52,21 @@ def changed(data, *path, value=None):
     return copy
 
 
+def f_theta(*more, **lens):
+    """Return the example of the book, its lenses changed."""
+    data = json.loads(EXAMPLES["DriveWorks rig"][1])
+    for sensor in data["rig"]["sensors"]:
+        sensor["properties"] |= lens | (more[0] if more else {})
+    return data
+
+
 KB4 = {"camera_type": "kb4", "intrinsics": {"fx": 225.0, "fy": 225.0, "cx": 250.0}}
 ONE = {"value0": {k: v[:1] for k, v in basalt()["value0"].items()}}
 NO_SIZE = changed(aria(), "CameraCalibrations", 0, "ImageSize")
 THIN = changed(sockets(1, -1), "cameraData", 0, 1, "distortionCoeff", 9, value=0.1)
 MANY_KEYS = {"centre_px": 1} | dict.fromkeys("abcdefghijkl", 0)
 FAR = {"pose": [0, 0, 0, 1001, 0, 0]}
+NO_TURN = changed(f_theta(), "rig", "sensors", 0, "correction_rig_T", value=[0, 0, 1])
 DS = {"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}
 LINEAR = {"fx": 300.0, "fy": 300.0, "cx": 400.0, "cy": 380.0}
 K3 = {"camera_type": "pinhole", "intrinsics": LINEAR | {"k3": 0.1}}
@@ -100,6 +111,9 @@ RIGS = [
     ("a.json", {"cameraData": [1]}, "cameraData: expected pairs"),
     ("a.json", {"cameraData": 1}, "cameraData: expected pairs"),
     ("a.json", THIN, "has 14 numbers; expected 4"),
+    ("a.json", f_theta(polynomial="1 2"), "polynomial is .*; expected 0 and 1 to 15"),
+    ("a.json", f_theta({"polynomial-type": "other"}), "polynomial-type is other; expected pixel"),
+    ("a.json", NO_TURN, "Add it to nominalSensor2Rig_FLU"),
     ("config.yaml", each(omnimvs(), "max_fov", max_fow=220), "no meaning; is 'max_fov' meant"),
     ("config.yaml", each(omnimvs(), "invalid_mask", invalidmask="a.png"), "is 'invalid_mask'"),
     ("config.yaml", each(omnimvs(), "inv_poly", Inv_poly=[2, 1, 1]), "is 'inv_poly' meant"),
@@ -129,6 +143,7 @@ def test_rigs_that_are_refused(tmp_path, name, data, message):
 
 
 LENSES = [
+    ("a.xml", METASHAPE.format(projection="spherical"), "is spherical; .*no depth"),
     ("a.xml", "<document><chunk/></document>", "unknown format"),
     ("a.yaml", {"model_type": "other"}, "expected one of mei, kannala_brandt, pinhole"),
     ("a.yaml", changed(KANNALA, "projection_parameters", "mv"), "key 'mv' is missing"),
