@@ -30,7 +30,7 @@ def test_a_line_has_all_times_and_their_ratios(capsys, monkeypatch):
     assert capsys.readouterr().out.split()[2] == "2.0"  # milliseconds: 2 MB at 1 GB/s
 
 
-@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("volumenet", 4)])
+@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("sgm", 1), ("volumenet", 4)])
 def test_a_comparison_runs(name, lines, capsys):
     getattr(bench, f"bench_{name}")(96, 24, 16)
     rows = [re.findall(r"  +([0-9.]+)", line) for line in capsys.readouterr().out.splitlines()]
