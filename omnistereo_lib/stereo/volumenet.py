@@ -17,6 +17,7 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 
 import torch
@@ -242,8 +243,9 @@ class VolumeNet(StoredNetwork):
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
         for columns in blocks:
             step("read-out")
-            mean = torch.stack([resize_logits(one, columns, grid)[0] for one in logits]).sum(0)
-            volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
+            mean = reduce(torch.add, (resize_logits(one, columns, grid)[0] for one in logits))
+            target = volume[:, columns[0] : columns[-1] + 1].transpose(0, 1)
+            torch.sub(volume.new_ones(()), mean.softmax(-1), out=target)
         step("")
         return volume.masked_fill_(hidden[..., None], torch.nan)
 

@@ -64,8 +64,9 @@ class _CellCorrelation(torch.autograd.Function):
         return None, *grads
 
 
-# Not nnan: a test for NaN says where a cell is visible.
-_loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+# Not nnan: a test for NaN says where a cell is visible. Not reassoc: the sums are written in the
+# order in which they are added, each product and sum as one fused operation.
+_loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
 
 @_loop
@@ -86,36 +87,43 @@ def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any,
 def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) -> None:
     """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for."""
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
+    # Of each camera that sees a cell: rows of the table, and the shares of the four pixels around.
+    rows, shares = np.empty((len(sizes), 2), np.int64), np.empty((len(sizes), 4), np.float32)
+    one, zero = np.float32(1), np.float32(0)
     for cell in range(uv.shape[1]):
-        # Σ f and Σ f² over the cameras that see the cell; NaN says that one does not.
-        total[:] = 0
-        square[:] = 0
+        # First all places, then all features, and each number by its index: in turns, or with
+        # rows of arrays unpacked, it takes twice as long.
         first = count = 0
         for camera in range(len(sizes)):
             height, width = sizes[camera]
-            x, y = uv[camera, cell]
+            x, y = uv[camera, cell, 0], uv[camera, cell, 1]
+            # NaN says that the camera does not see the cell.
             if x == x:
-                count += 1
                 column, row, fx, fy = _corner(x, y, height, width)
-                r, one = first + row * width + column, np.float32(1)
-                # The shares of the four pixels around, then the feature between them.
-                a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-                for k in range(CHANNELS):
-                    f = (
-                        a * table[r, k]
-                        + b * table[r + 1, k]
-                        + c * table[r + width, k]
-                        + d * table[r + width + 1, k]
-                    )
-                    total[k] += f
-                    square[k] += f * f
+                upper = first + row * width + column
+                rows[count, 0], rows[count, 1] = upper, upper + width
+                shares[count, 0], shares[count, 1] = (one - fx) * (one - fy), fx * (one - fy)
+                shares[count, 2], shares[count, 3] = (one - fx) * fy, fx * fy
+                count += 1
             first += height * width
+        # Σ f and Σ f² over these cameras, of the feature between the four pixels.
+        if count == 0:
+            total[:] = square[:] = 0
+        for i in range(count):
+            r, s = rows[i, 0], rows[i, 1]
+            a, b, c, d = shares[i, 0], shares[i, 1], shares[i, 2], shares[i, 3]
+            for k in range(CHANNELS):
+                f = d * table[s + 1, k] + c * table[s, k]
+                f = b * table[r + 1, k] + (a * table[r, k] + f)
+                total[k] = f + (total[k] if i > 0 else zero)
+                square[k] = f * f + (square[k] if i > 0 else zero)
         # ((Σ f)² − Σ f²) / (k (k − 1)), the mean over a group of channels.
+        scale = one / np.float32(_SIZE * max(count * (count - 1), 1))
         for group in range(GROUPS):
-            summed = np.float32(0)
-            for k in range(group * _SIZE, (group + 1) * _SIZE):
-                summed += total[k] * total[k] - square[k]
-            volume[cell, group] = summed / np.float32(_SIZE * max(count * (count - 1), 1))
+            k = group * _SIZE
+            summed = total[k + 2] ** 2 + (total[k] ** 2 + total[k + 1] ** 2)
+            summed -= square[k] + square[k + 1] + square[k + 2] + square[k + 3]
+            volume[cell, group] = (total[k + 3] ** 2 + summed) * scale
         volume[cell, GROUPS] = np.float32(0.25) * count
         if len(totals):
             totals[cell] = total
@@ -128,7 +136,7 @@ def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> N
     table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)
     g = np.zeros(CHANNELS, np.float32)
     for cell in range(len(uv)):
-        x, y = uv[cell]
+        x, y = uv[cell, 0], uv[cell, 1]
         if x == x:
             column, row, fx, fy = _corner(x, y, height, width)
             r, one = row * width + column, np.float32(1)
