@@ -134,7 +134,7 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
     for name, module in COMMANDS.items():
         command = commands.add_parser(
             name,
-            help=(module.__doc__ or name).splitlines()[0],  # PYTHONOPTIMIZE=2 drops it
+            help=" ".join((module.__doc__ or name).partition("\n\n")[0].split()),
             description=module.__doc__,
             epilog=EXIT_STATUS,
             formatter_class=argparse.RawDescriptionHelpFormatter,

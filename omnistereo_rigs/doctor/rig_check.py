@@ -233,9 +233,9 @@ def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
     if found.cause == "lens":
         k, percent = found.cameras[0], 100 * (1 / found.scale - 1)
         whose = (
-            f"the lens of camera {k + 1} does not fit its picture"
+            f"the lens of camera {k + 1} does not fit its image"
             if len(found.cameras) == 1
-            else ("the lenses do not fit the pictures")
+            else ("the lenses do not fit the images")
         )
         way = "long" if percent > 0 else "short"
         text = (

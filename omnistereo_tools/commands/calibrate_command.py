@@ -9,9 +9,9 @@ Examples:
   omnistereo calibrate boards --board aprilgrid.yaml
       the target file of Kalibr, or a YAML file with the fields of a board: see the book
   omnistereo calibrate boards --board 12x10 --square 0.06 --rig lenses.yaml
-      the poses alone, of cameras that are calibrated
+      only the poses, of cameras that are calibrated
   omnistereo calibrate --from-images front right back left --rig nominal.yaml
-      the poses without a board, from a drive: each camera's folder, video or picture
+      the poses without a board, from a drive: each camera's folder, video or image
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class CalibrateOptions(Options):
     )
     max_fov: float | None = option("field of view in degrees", unset="as far as corners reach")
     from_images: tuple[Path, ...] | None = option(
-        "for each camera a folder, a video or one picture", needs="rig"
+        "for each camera a folder, a video or one image", needs="rig"
     )
     rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
     baseline: float | None = option(

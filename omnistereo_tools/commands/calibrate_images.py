@@ -58,7 +58,7 @@ def run(options: CalibrateOptions) -> int:
     images, rig, given = _read(options, recorded)
     say(f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s")
     if given == "calibration" and (found := find_mixup(Frame.of(rig, images[0]))):
-        return _stays(options, recorded, f"the rig and the images do not fit: {found}", [])
+        return _stays(options, recorded, "Bad", f"the rig and the images do not fit: {found}", [])
     measured, why_not, details = _measure(options, rig, given, images, progress_bar())
     refusals = "; ".join(measured.refusals())
     if refusals and given != "calibration":
@@ -66,7 +66,10 @@ def run(options: CalibrateOptions) -> int:
     why_not = refusals or why_not
     report = [*_report(measured, len(images), given), *details]
     if why_not:
-        return _stays(options, recorded, why_not, report)
+        # Whether all that the images show of the given rig is within what they cannot tell.
+        holds = (measured.changes <= 2 * measured.deviations).all() and not refusals
+        word = "Good" if holds else "Bad" if measured.more_than_a_knock() is not None else "Fair"
+        return _stays(options, recorded, word, why_not, report)
     hold(out)
     save_rig(measured.rig, out / "config.yaml")
     write_text(out / "report.txt", "\n".join(report) + "\n")
@@ -82,10 +85,10 @@ def run(options: CalibrateOptions) -> int:
 
 
 def _stays(
-    options: CalibrateOptions, recorded: Sequence[Path], why: str, report: Sequence[str]
+    options: CalibrateOptions, recorded: Sequence[Path], word: str, why: str, report: Sequence[str]
 ) -> int:
     """Say that the given rig stays and why; return 1."""
-    print(f"The given rig stays, nothing is written: {why}.", *report, sep="\n")
+    print(f"{word}: the given rig stays, nothing is written: {why}.", *report, sep="\n")
     print(as_typed("doctor", DoctorOptions, options, images=_first_pictures(recorded) or None))
     return 1
 

@@ -25,7 +25,7 @@ def run(options: DemoOptions) -> None:
 
     if not (cameras := sorted(DRIVE.glob("cam*"))):
         raise OmnistereoError(
-            f"{DRIVE} has no pictures; the drive comes with the clone. Run the demo there."
+            f"{DRIVE} has no images; the drive comes with the clone. Run the demo there."
         )
     folders = tuple(map(str, cameras))
     live = live_command.LiveOptions(rig=DRIVE, cameras=folders, loop=True, method=FRAME_METHOD)

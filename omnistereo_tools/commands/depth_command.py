@@ -173,7 +173,7 @@ def _check(options: DepthOptions, out: Path) -> None:
     for path in of_recordings(options.images or ()):
         right = as_typed("record", RecordOptions, options)
         raise OmnistereoError(
-            f"{path} holds many frames; expected one picture per camera. For recordings: {right}"
+            f"{path} holds many frames; expected one image per camera. For recordings: {right}"
         )
     files = [out / "overview.png", out / "index.html", options.mesh, options.las]
     files.append(options.equirectangular)

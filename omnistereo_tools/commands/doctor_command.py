@@ -87,7 +87,7 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
     """Check a rig against its images; write the rig that they show, if that is asked for."""
     if frame is None:
         return _Found(
-            "OPEN  without --images nothing shows whether the poses are right",
+            "Unknown: without --images nothing shows whether the poses are right.",
             0,
             next="Pass --images, one per camera: then they are checked, and a command is printed.",
         )
@@ -99,13 +99,13 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
 
     rig, images = frame.rig, frame.images
     if same := same_pictures(images):
-        return _Found(f"FAIL  {same}", 1, next="Then run the same command again.")
+        return _Found(f"Bad: {same}.", 1, next="Then run the same command again.")
     stated = rig.min_depth if options.min_depth is None else options.min_depth
     say("measuring the poses from the images takes about 15 s")
     check = check_rig(rig, images, stated, progress_bar())
     if check.cause == "late or displaced" and options.images is None:
         check = _with_frames(options, check)
-    word = "OK  " if check.fits else "OPEN" if check.fits is None else "FAIL"
+    word = "Good" if check.fits else "Unknown" if check.fits is None else "Bad"
     cost = matching_cost(frame, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth))
     details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
     if stated is None:
@@ -126,7 +126,7 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
     elif options.write is not None:
         why = "there is nothing to put right" if check.fits else "no rig file puts that right"
         details.append(f"{options.write} is not written: {why}.")
-    return _Found(f"{word}  {check.text}", 0 if check.fits else 1, tuple(details), go_on)
+    return _Found(f"{word}: {check.text}.", 0 if check.fits else 1, tuple(details), go_on)
 
 
 def _with_frames(options: DoctorOptions, check: RigCheck) -> RigCheck:

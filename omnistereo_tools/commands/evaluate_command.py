@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from omnistereo_tools.commands.options import DeviceOptions
+from omnistereo_tools.commands.options import DeviceOptions, check_method
 from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.parser import is_tiny, option, shrink
 
@@ -35,6 +35,14 @@ class EvaluateOptions(DeviceOptions):
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/evaluation_SCALE")
     rig: Path | None = option("rig file or folder to use instead of the rigs of the data sets")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.methods:
+            from omnistereo_learn.evaluate.methods import EvaluatedMethod
+
+            for name in self.methods:
+                check_method("--methods", name, EvaluatedMethod.parse)
 
 
 def run(options: EvaluateOptions) -> None:

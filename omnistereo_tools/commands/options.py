@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -158,10 +158,15 @@ class MethodOptions(DeviceOptions):
         else:
             from omnistereo_lib.stereo.methods import Method
 
-            try:
-                Method.parse(self.method)
-            except OmnistereoError as error:
-                raise OmnistereoError(f"--method {self.method}: {error}") from None
+            check_method("--method", self.method, Method.parse)
+
+
+def check_method(flag: str, name: str, parse: Callable[[str], object]) -> None:
+    """Raise an `OmnistereoError` that names what was typed if there is no such method."""
+    try:
+        parse(name)
+    except OmnistereoError as error:
+        raise OmnistereoError(f"{flag} {name}: {str(error).removeprefix(f'{name}: ')}") from None
 
 
 def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:

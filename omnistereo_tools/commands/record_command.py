@@ -1,9 +1,9 @@
-"""Estimate the depth of a recording: a folder of pictures or a video per camera in, a data set with
+"""Estimate the depth of a recording: a folder of images or a video per camera in, a data set with
 depth out.
 
 Examples:
   omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out walk
-      every frame of folders of pictures; run it again to resume
+      every frame of folders of images; run it again to resume
   omnistereo record --rig rig.yaml --images front.mp4 right.mp4 back.mp4 left.mp4 --out drive
   --video drive/depth.mp4
       videos, with a video of surfaces, panorama and depth

@@ -1,7 +1,7 @@
 """From your own pictures to depth: calibrate, check the rig, and compute, in one command.
 
-FOLDER/boards has one folder of pictures of a board per camera, such as cam1 to cam4; pictures taken
-at one moment share a name. FOLDER/scene has one picture of the scene per camera, named as the
+FOLDER/boards has one folder of images of a board per camera, such as cam1 to cam4; images taken
+at one moment share a name. FOLDER/scene has one image of the scene per camera, named as the
 folders: cam1.jpg, … What comes out is FOLDER/rig and FOLDER/depth.
 
 Examples:
@@ -77,7 +77,7 @@ def _scene(scene: Path, boards: Path) -> tuple[Path, ...]:
     names = find_captures(boards).cameras
     if missing_names := [name for name in names if name not in pictures]:
         raise OmnistereoError(
-            f"{scene} has no picture of {', '.join(missing_names)}; found"
+            f"{scene} has no image of {', '.join(missing_names)}; found"
             f" {', '.join(path.name for path in pictures.values()) or 'none'}. Name each as the"
             f" folder of its camera in {boards}"
         )

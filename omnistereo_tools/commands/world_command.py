@@ -166,11 +166,13 @@ def _write(
         write_rrd(out / "world.rrd", frames, poses, refined, surface)
     used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
     word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
-    verdict = f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece"
+    verdict = (
+        f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece;"
+        f" {doubtful:.0f} % of rays are doubtful and count little"
+    )
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
     drift, holes = frames.drift(poses), frames.holes_percent(volume, poses)
     sentences = [
-        f"{doubtful:.0f} % of rays are doubtful, and count little.",
         f"{holes:.0f} % of what is seen within {options.range:g} m has no surface."
         if round(holes)
         else f"All that is seen within {options.range:g} m has a surface.",

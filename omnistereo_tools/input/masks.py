@@ -51,7 +51,7 @@ def with_masks(rig: Rig, images: Sequence[Path]) -> Rig:
             camera = replace(camera, mask=read_gray(path, camera.image_size) >= 128)
             if not camera.visible_pixels().any():
                 raise OmnistereoError(
-                    f"{path} hides the whole picture; expected bright where it is valid. Invert it."
+                    f"{path} hides the whole image; expected bright where it is valid. Invert it."
                 )
         cameras.append(camera)
     return replace(rig, cameras=tuple(cameras))

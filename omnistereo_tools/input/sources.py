@@ -130,7 +130,7 @@ def open_sources(paths: Sequence[Path]) -> list[Pictures | Film]:
             sources.append(Pictures(path, named))
         else:
             expected = f"expected one per frame, {', '.join(_PICTURES)}"
-            raise OmnistereoError(f"{path} holds no pictures; {expected}")
+            raise OmnistereoError(f"{path} holds no images; {expected}")
     return sources
 
 

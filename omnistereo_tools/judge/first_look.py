@@ -64,13 +64,13 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
 
 
 def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
-    """Return which images are the same picture, if any; one that two cameras share is right."""
+    """Return which images are identical, if any; one that two cameras share is right."""
     same = [
         f"{i} and {j}"
         for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
         if a is not b and np.array_equal(a, b)
     ]
-    return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
+    return f"images {', '.join(same)} are identical. Check their paths" if same else None
 
 
 def matching_cost(frame: Frame, grid: SphereGrid) -> float:

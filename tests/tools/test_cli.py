@@ -149,7 +149,7 @@ def test_doctor_of_a_wrong_rig(data, capsys, scene_images):
     osl.save_rig(invert_poses(scene_images[0]), data / "config.yaml")
     assert run("doctor", "--rig", data) == 1
     assert (
-        "FAIL  the poses look inverted (rig → camera instead of camera → rig)"
+        "Bad: the poses look inverted (rig → camera instead of camera → rig)"
         in capsys.readouterr().out
     )
 
@@ -178,7 +178,7 @@ def test_doctor_of_a_right_rig_prints_the_command_that_depth_is_by_default(
     assert run("doctor", *with_images(data)) == 0
     out = capsys.readouterr().out
     assert f"4 cameras, {rig.baselines.min():.3g} to {rig.baselines.max():.3g} m apart" in out
-    assert "OK    the rig fits its images" in out
+    assert "Good: the rig fits its images" in out
     command = shlex.split(out.splitlines()[-1])
     assert command[0] == "omnistereo" and run(*command[1:]) == 2
     assert run("depth", *with_images(data)) == 2
@@ -190,7 +190,7 @@ def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
     (data / "config.yaml").rename(tmp_path / "rig" / "config.yaml")
     assert run("doctor", "--rig", tmp_path / "rig") == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[0] == "OPEN  without --images nothing shows whether the poses are right"
+    assert said[0] == "Unknown: without --images nothing shows whether the poses are right."
     assert said[-1].startswith("Pass --images, one per camera: ")
 
 
@@ -198,7 +198,7 @@ def test_doctor_of_the_same_picture_twice(data, capsys):
     (data / "cam1" / "0001.png").write_bytes((data / "cam2" / "0001.png").read_bytes())
     assert run("doctor", *with_images(data)) == 1
     assert capsys.readouterr().out.startswith(
-        "FAIL  images 1 and 2 are the same picture. Check their paths\n"
+        "Bad: images 1 and 2 are identical. Check their paths.\n"
     )
 
 
@@ -214,7 +214,8 @@ def test_doctor_of_the_same_picture_twice(data, capsys):
         ("live --rig none --cameras 0 1 --method zncc,window=4", "window"),
         ("onnx --rig none --grid 8x-8", "--grid is 8x-8; expected columns x rows"),
         ("calibrate none --board 12x10 --square 0.06 --max-fov 9", "max_fov_deg is 9"),
-        ("evaluate --sets none --methods bogus", "cost must be one of .*'bogus'"),
+        ("evaluate --methods zncc bogus", "--methods bogus: cost must be one of .*'bogus'"),
+        ("depth --rig none --method zncc,p3=2", "--method zncc,p3=2: unknown setting"),
         ("train volumenet --data none --set steps=0", "steps = 0"),
     ],
 )

@@ -570,7 +570,7 @@ def test_frames_are_matched_by_number_or_by_name(tmp_path):
 
 def test_what_is_no_recording_is_told(tmp_path):
     (tmp_path / "empty").mkdir()
-    with refused("empty holds no pictures"):
+    with refused("empty holds no images"):
         Recording.open([tmp_path / "empty"])
     (tmp_path / "a.mp4").write_bytes(b"no video" * 100)
     with refused(r"a.mp4 is not a video that can be read"):

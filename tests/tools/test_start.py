@@ -38,4 +38,4 @@ def test_what_is_missing_is_named(tmp_path, capsys):
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "cam1.png").write_bytes(b"")
     assert cli.main(command) == 2
-    assert "scene has no picture of cam2; found cam1.png" in capsys.readouterr().err
+    assert "scene has no image of cam2; found cam1.png" in capsys.readouterr().err
