@@ -1,5 +1,7 @@
 """What is said about durations."""
 
+import sys
+
 import pytest
 
 import omnistereo_lib as osl
@@ -38,7 +40,10 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     )
 
 
-def test_a_bar_names_the_parts_that_have_names(capsys):
+@pytest.mark.parametrize("watched", [True, False], ids=["terminal", "log"])
+def test_a_bar_names_the_parts_that_have_names(capsys, monkeypatch, watched):
+    """A log has no bar for every part, since there each takes its own place."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: watched)
     bar = progress_bar()
     for _ in range(2):  # one after the other
         step = counted(bar, 2)
@@ -46,4 +51,4 @@ def test_a_bar_names_the_parts_that_have_names(capsys):
         step("camera 2 of 2")
         step("")
     shown = capsys.readouterr().err
-    assert "camera 1 of 2:   0%" in shown and "camera 2 of 2:  50%" in shown
+    assert "camera 1 of 2:   0%" in shown and ("camera 2 of 2:  50%" in shown) == watched
