@@ -87,7 +87,8 @@ class Dataset(Sequence[Frame]):
     def __getitem__(self, i: int | slice) -> Frame | Dataset:
         if isinstance(i, slice):
             return Dataset(self.folder, self._rig, self._frames[i])
-        return replace(self._frames[i])  # a copy, so that cached images are freed with it
+        # A copy, so that cached images are freed with it.
+        return replace(self._frames[i])
 
     def frame(self, number: int) -> Frame:
         """Return the frame of a number; an `OmnistereoError` lists those there are."""
@@ -139,7 +140,8 @@ def load_dataset(
     """
     folder = as_path(folder, "folder")
     unpack(folder if split is None else folder / split)
-    if not os.path.isdir(folder):  # False also for a name that no file can have
+    # False also for a name that no file can have.
+    if not os.path.isdir(folder):
         raise OmnistereoError(f"{folder} cannot be read: there is no such folder. Check the path.")
     if split is not None and (folder / split).is_dir():
         folder, split = folder / split, None

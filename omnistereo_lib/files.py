@@ -57,7 +57,8 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
     """Return the content of a regular file of at most `most` bytes; say why it cannot be read."""
     path = as_path(path)
     try:
-        status = path.stat()  # opening a pipe would wait for its other end
+        # Opening a pipe would wait for its other end.
+        status = path.stat()
         is_file = stat.S_ISREG(status.st_mode)
         if is_file and status.st_size <= most:
             return path.read_bytes()
@@ -79,7 +80,8 @@ def path_within(folder: Path, name: Any, source: str | Path, root: Path | None =
     """Return the path of a name in the file `source`; refuse one that leaves `root` (folder)."""
     path = folder / str(name)
     try:
-        path.exists()  # raises for a name that no file can have
+        # Raises for a name that no file can have.
+        path.exists()
         inside = not Path(str(name)).is_absolute() and path.resolve().is_relative_to(
             (root or folder).resolve()
         )
@@ -263,7 +265,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     try:
         yield temporary
         _sync(temporary)
-        now = temporary.stat().st_mtime  # of the disk: the clocks of machines that share it differ
+        # Of the disk: the clocks of machines that share it differ.
+        now = temporary.stat().st_mtime
         temporary.replace(path)
         _remove_stale(path, now)
         _sync(path.parent)
@@ -280,7 +283,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 def _sync(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk."""
     if path.is_dir() and os.name != "posix":
-        return  # Windows has no such thing
+        # Windows has no such thing.
+        return
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
@@ -291,7 +295,8 @@ def _sync(path: Path) -> None:
 def _remove_stale(path: Path, now: float) -> None:
     """Remove temporary files of `path` that are an hour old by the clock of the disk."""
     for left in path.parent.glob(f".{'[0-9a-f]' * 16}.{glob.escape(path.name)}"):
-        with suppress(FileNotFoundError):  # another writer was quicker
+        # Another writer was quicker.
+        with suppress(FileNotFoundError):
             if now - left.stat().st_mtime > _STALE:
                 left.unlink()
 

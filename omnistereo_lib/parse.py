@@ -29,9 +29,8 @@ MIN_FOV_DEG = 10.0
 _SAME_M, SAME_DEG = 2e-3, 0.2
 # Each camera is fitted: 64 different lenses take 1.5 s.
 MAX_CAMERAS = 64
-_ROUNDED = (
-    1e-3  # of a rotation printed with three decimals; with four it is 0.002° from the nearest
-)
+# Of a rotation printed with three decimals; with four it is 0.002° from the nearest.
+_ROUNDED = 1e-3
 # Of a rotation printed with five decimals; `Pose` corrects it.
 _EXACT = 1e-5
 # In letters: shorter keys, such as K and P, are one edit from each other.
@@ -56,9 +55,8 @@ _IRRELEVANT = {
     "brightness and noise": "vignette gamma exposure exposuregain readnoise shotnoise falloff "
     "fitresidualpx",
 }
-_RECTIFIED = re.compile(
-    "[PQEF][0-9]?"
-)  # projections, and matrices of two views; p1 and f are others
+# Projections, and matrices of two views; p1 and f are others.
+_RECTIFIED = re.compile("[PQEF][0-9]?")
 _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 # What lens models have: a camera that states one which is not read is another lens than the one
 # read.

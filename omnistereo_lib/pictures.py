@@ -21,12 +21,14 @@ MAX_PIXELS = 1 << 26
 _MAX_SIDE = 100_000
 # Of a JPEG, whose decoder goes over the whole picture for each of its scans.
 _MAX_SCANS = 64
-_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
+# Formats that are read, as Pillow calls them.
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
 # modes, as Pillow calls them
 _NOT_READ = {mode: f"{mode} colours" for mode in ("CMYK", "LAB", "YCbCr", "HSV")}
 _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
 _EXPECTED = "expected gray or RGB values of 8 or 16 bits. Convert it."
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
+# All but those within a scan.
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
 # width, height, largest value
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
 # Compressions of TIFF: none, and deflate by both of its numbers.
@@ -47,7 +49,8 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            Image.open(BytesIO(content), formats=_FORMATS).verify()  # the checksums of a PNG
+            # The checksums of a PNG.
+            Image.open(BytesIO(content), formats=_FORMATS).verify()
             picture = Image.open(BytesIO(content), formats=_FORMATS)
             # That of PNG decodes.
             orientation = Image.Image.getexif(picture).get(ExifTags.Base.Orientation, 1)
@@ -193,7 +196,8 @@ def _decode(content: bytes, picture: Any) -> NDArray[Any]:
     import cv2
     from PIL.ExifTags import Base
 
-    tags = getattr(picture, "tag_v2", {})  # of a TIFF
+    # Of a TIFF.
+    tags = getattr(picture, "tag_v2", {})
     bits = tags.get(Base.BitsPerSample, (8,))
     is_deep = ";16" in str(picture.tile) or max(bits) > 8
     if is_deep and tags.get(Base.PlanarConfiguration) == 2:

@@ -28,9 +28,11 @@ from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.lazy import lazy_property
 
-Array = Any  # a NumPy array or a torch tensor: both have every operation used here
+# A NumPy array or a torch tensor: both have every operation used here.
+Array = Any
 
-MAX_SIDE = 100_000  # px
+# Of an image, in pixels.
+MAX_SIDE = 100_000
 # In pixels, the tolerance of OCamCalib.
 INVERSE_TOLERANCE = 0.01
 # In pixels; keeps the corner pixels inside the image after the rounding of a round trip.

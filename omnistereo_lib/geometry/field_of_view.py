@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 
-Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
-Projection = Callable[[Floats], Projected]  # of rays (..., 3)
+# Pixels (..., 2), and whether they are valid (...).
+Projected = tuple[Floats, NDArray[np.bool_]]
+# Takes rays (..., 3).
+Projection = Callable[[Floats], Projected]
 
 # The widest common lens; in images without a mask, black corners lie beyond it.
 DEFAULT_FOV_DEG = 220.0

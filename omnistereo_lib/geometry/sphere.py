@@ -70,7 +70,8 @@ class SphereGrid:
             object.__setattr__(
                 self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True)
             )
-        phi = tuple(np.atleast_1d(self.phi_deg).tolist())  # a list would make the grid unhashable
+        # A list would make the grid unhashable.
+        phi = tuple(np.atleast_1d(self.phi_deg).tolist())
         are_two = len(phi) == 2 and all(isinstance(angle, Real) for angle in phi)
         if not (are_two and -90 <= phi[0] < phi[1] <= 90):
             raise OmnistereoError(

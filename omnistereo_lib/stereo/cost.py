@@ -68,7 +68,8 @@ class BlockCost(ABC):
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         # A block of spheres per thread, if the cost runs in one, each with a buffer to warp into.
-        normalized = sweep.normalize_images(frame)  # cameras × (h, w)
+        # One (h, w) for each camera.
+        normalized = sweep.normalize_images(frame)
         (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
         volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
         threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and self.one_thread else 1

@@ -10,7 +10,8 @@ import torch
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.sphere import SphereGrid
 
-BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
+# Spheres warped at a time: their cells fill one cache line of the (H, W, N) volume.
+BLOCK = 16
 
 
 def select_device(device: torch.device | str) -> torch.device:

@@ -79,7 +79,8 @@ class StoredNetwork(nn.Module):
             )
         # Build the network of the file, and take its tensors.
         try:
-            network = cls(**config).float()  # whatever the default type of torch is
+            # Whatever the default type of torch is.
+            network = cls(**config).float()
             like = network.state_dict()
             # counts may be stored as either
             floating = [key for key in like if like[key].is_floating_point()]
