@@ -125,8 +125,6 @@ def _run_command(clone: Path, command: str, out: Path) -> list[float]:
         if command.startswith(name):
             shutil.rmtree(out / made, ignore_errors=True)
     out.mkdir(exist_ok=True)
-    if (clone / "omnistereo_lib" / "calibrate").is_dir():  # 34d45a7 has another word for it
-        command = command.replace("--grid", "--width")
     typed = command.replace("OUT", str(out)).split()
     start = time.perf_counter()
     child = subprocess.Popen(
