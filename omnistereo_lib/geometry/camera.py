@@ -205,9 +205,10 @@ class OcamCamera:
         if not self._whole_view:
             return self.project(points)[1]
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        n = np.sqrt(x * x + y * y)
+        # The angle atan2(-Z, n) is at most t where -Z cos t ≤ n sin t, which takes no arctangent.
+        n, t = np.sqrt(x * x + y * y), self._max_t + 1e-12
         finite = np.isfinite(n) & np.isfinite(z) & ((n > 0) | (z != 0))
-        return finite & (np.arctan2(-z, n) <= self._max_t + 1e-12)
+        return finite & (-z * np.cos(t) <= n * np.sin(t))
 
     @lazy_property
     def _whole_view(self) -> bool:
@@ -280,7 +281,7 @@ class OcamCamera:
         # As in `unproject`, without the angles: they take most of its time. And without a product
         # of (height, width, 2) and (2, 2), which NumPy does slowly.
         (a, b), (c, d) = np.linalg.inv(self._A)
-        inside = np.hypot(a * u + b * v, c * u + d * v) <= self.max_radius + 1e-6
+        inside = (a * u + b * v) ** 2 + (c * u + d * v) ** 2 <= (self.max_radius + 1e-6) ** 2
         return inside if self.mask is None else inside & self.mask
 
     def reduced(self, factor: int) -> OcamCamera:

@@ -18,6 +18,7 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.correlation import project_cells
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import OUTSIDE
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.output.mesh_export import is_connected
 
 DARKEST, BRIGHTEST = 6, 249  # gray values; below and above, a sensor is blind
@@ -76,9 +77,8 @@ def blended_panoramas(
 ) -> list[NDArray[np.float32]]:
     """Return what `blended_panorama` does for several factors, the images weighted once."""
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
-    weights = depth.sweep.keep(
-        "weights", lambda: [_distance_from_rim(c)[..., None] ** 2 for c in depth.sweep.rig.cameras]
-    )
+    cameras = depth.sweep.rig.cameras
+    weights = depth.sweep.keep("weights", lambda: [*map_threads(_distance_from_rim, cameras)])
     totals: list[Any] = [np.float32(0)] * len(factors)
     no_second: Any = None  # see `remap`
     places = zip(*(_pixels(depth, factor) for factor in factors), strict=True)
@@ -174,7 +174,9 @@ def _cells(padded: NDArray[Any]) -> NDArray[Any]:
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:
-    """Return the distance of each pixel from the nearest invisible one, (height, width), 0 to 1."""
+    """Return the squared distance of each pixel from the nearest invisible one, the largest 1:
+    (height, width, 1).
+    """
     visible = np.pad(camera.visible_pixels().astype(np.uint8), 1)  # the image ends in a rim, too
     distance = cv2.distanceTransform(visible, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return distance / distance.max()
+    return (distance / distance.max())[..., None] ** 2

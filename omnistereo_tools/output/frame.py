@@ -185,8 +185,11 @@ class FrameResult:
         """Write everything into a folder; return the names, the first to look at first."""
         step = counted(progress, 3)
         folder = make_folder(out)
-        _ = self._cloud, self.panorama, self.trust  # the page is written beside the rest
+        _ = self.depth.samples  # which both of the next two need
         with ThreadPoolExecutor(1) as pool:
+            # Trust beside the panorama, then the page beside the rest.
+            judged = pool.submit(lambda: self.trust)
+            _ = self.panorama, judged.result(), self._cloud
             page = pool.submit(self._write_page, folder / "index.html")
             step("data")
             self._write_data(folder / "data")
