@@ -366,6 +366,7 @@ def serve(latest: Latest, cameras: Cameras | None = None) -> Iterator[str]:
                     "text/plain; charset=utf-8",
                     lambda: self._tell(LivePicture.why_at, place),
                 ),
+                "/top": ("text/plain", self._top),
                 **controls,
             }.get(name, ("text/html", lambda: self.wfile.write(_PAGE.read_bytes())))
             self.send_response(200)
@@ -379,6 +380,10 @@ def serve(latest: Latest, cameras: Cameras | None = None) -> Iterator[str]:
             picture = latest.newest  # none before the first
             if picture is not None and place is not None:
                 self.wfile.write(words(picture, *place).encode())
+
+        def _top(self) -> None:
+            """Tell the first row of the panoramas, when there is a picture."""
+            self.wfile.write(str(panes(next(iter(latest)).depth.grid)[0]).encode())
 
         def _stream(self) -> None:
             self.wfile.write(PART)

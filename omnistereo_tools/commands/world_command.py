@@ -166,8 +166,9 @@ def _write(
         write_rrd(out / "world.rrd", frames, poses, refined, surface)
     used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
     word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
+    which = f"all {len(poses)}" if used == 1 else f"{len(poses)} of {len(frames.data)}"
     verdict = (
-        f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece;"
+        f"{word}: {which} frames fit together;"
         f" {doubtful:.0f} % of rays are doubtful and count little"
     )
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
@@ -175,25 +176,25 @@ def _write(
     sentences = [
         f"{holes:.0f} % of what is seen within {options.range:g} m has no surface."
         if round(holes)
-        else f"All that is seen within {options.range:g} m has a surface.",
+        else f"Less than 1 % of what is seen within {options.range:g} m has no surface.",
         f"The path is {length:.1f} m long; where it returns it is off by {drift:.2f} m."
         if drift is not None
         else f"The path is {length:.1f} m long; its drift is unknown, as it does not return.",
     ]
     views = _page_views(frames, poses, refined)
     what = surface, poses, views, frames.grid, options.range
-    page = world_page(*what, verdict, sentences)
+    texts = {"index.html": world_page(*what, verdict, sentences)}
+    texts["trajectory.txt"] = trajectory_tum(poses)
+    if (times := frames.times) and times.keys() >= poses.keys():
+        texts["trajectory_seconds.txt"] = trajectory_tum(poses, times)
+    for name, text in texts.items():
+        write_text(out / name, text)
     if options.video:
         from omnistereo_tools.record.recordings import write_film
         from omnistereo_tools.world.film import RATE, flight
 
         say("drawing the flight: half a second for each of its frames, 7 a metre")
         write_film(out / "flight.mp4", flight(*what), RATE)
-    texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
-    if (times := frames.times) and times.keys() >= poses.keys():
-        texts["trajectory_seconds.txt"] = trajectory_tum(poses, times)
-    for name, text in texts.items():
-        write_text(out / name, text)
     frames.link(out)
     print(f"{verdict}.", *sentences, f"The surface has {len(surface.faces)} triangles.", sep="\n")
     print(f"written to {out}/, which load_dataset reads")

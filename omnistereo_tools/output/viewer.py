@@ -106,12 +106,11 @@ def viewer_data(
         shown = ("title", "width", "height", "phi", "perStep", "steps", "trust")
         optional["beside"] = {name: beside[name] for name in shown if name in beside}
     if gt_index is not None:
-        per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
-        percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
-        optional |= {"truth": packed(_in_steps(truth, per_step)), "percent": percent}
+        optional["truth"] = packed(_in_steps(truth, per_step))
     scale = ColorScale.of(depth.inverse_depth)
     (cameras, images), poses = fisheye_images(depth), depth.sweep.rig.T_rig_cam
     first, *_, last = grid.inverse_depths().tolist()
+    per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
     return optional | {
         "title": title,
         "mode": mode,
@@ -124,6 +123,7 @@ def viewer_data(
             (camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0
         ),
         "perStep": per_step,
+        "percent": 100 / grid.num_spheres * per_metre,  # errors as in the paper's tables
         "steps": packed(_in_steps(inverse_depth, per_step)),
         "sigma": packed(_octaves(depth.sigma[::step, ::step], per_step)),
         "bound": packed(_octaves(depth.bound[::step, ::step], per_step)),

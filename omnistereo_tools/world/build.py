@@ -234,8 +234,13 @@ class RecordedFrames:
         return (by_path.inverse() @ found.T).magnitude()[1] if found.sure else None
 
     def _sighting(self, frame: Frame) -> Sighting:
-        finder = SightingFinder(self.sweep_of(frame).rig, self.grid)
-        return finder.find(frame.images, frame.inverse_depth)
+        self._finder.rig = self.sweep_of(frame).rig
+        return self._finder.find(frame.images, frame.inverse_depth)
+
+    @cached_property
+    def _finder(self) -> SightingFinder:
+        """Where features are looked for, which takes a second to compute; poses do not matter."""
+        return SightingFinder(self.sweep.rig, self.grid)
 
     def view(self, frame: Frame, pose: Pose, colored: bool = True) -> View:
         """Return what a frame knows of the world."""

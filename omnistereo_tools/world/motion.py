@@ -204,25 +204,20 @@ def _gates(T: Pose, a: _End, center: Floats, gate_deg: float) -> tuple[Floats, F
 
     A gate is wider by two standard deviations of what the depth of the feature leaves open.
     """
-    toward, by_inverse, _ = _predict(T, a, center)
+    toward, by_inverse = _predict(T, a, center)
     length = np.linalg.norm(toward, axis=1)
     rays = toward / length[:, None]
     doubt = a.sd * np.linalg.norm(np.cross(rays, by_inverse), axis=1) / length
     return rays, np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
 
 
-def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats, Floats]:
+def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats]:
     """Return where points of frame a lie as seen from `center` in frame b, times their inverse
-    distance in a, (M, 3).
-
-    Also its derivatives by the inverse distance, (M, 3), and by the step, (M, 3, 6): T becomes T
-    Exp(rotation, shift).
+    distance in a, and its derivatives by the inverse distance, (M, 3) each.
     """
     q = a.inverse[:, None]
     from_rig = (q * (a.center - T.t) + a.ray) @ T.R
-    by_inverse = (a.center - T.t) @ T.R - center
-    by_step = np.concatenate([cross(from_rig), -q[:, :, None] * np.eye(3)], axis=2)
-    return from_rig - q * center, by_inverse, by_step
+    return from_rig - q * center, (a.center - T.t) @ T.R - center
 
 
 def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
@@ -240,7 +235,7 @@ def _residuals(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
     The error of the depth moves the prediction along a line; it is part of the covariance of the
     residual. Where on this line a point most likely lies follows in closed form.
     """
-    toward, by_inverse, _ = _predict(T, a, b.center)
+    toward, by_inverse = _predict(T, a, b.center)
     offset, d_seen = _seen(toward, b)
     line = np.einsum("mki,mi->mk", d_seen, by_inverse) * a.sd[:, None]
     variance = (line**2).sum(axis=1)
@@ -261,7 +256,11 @@ def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
     shorten the step.
     """
     residuals, whiten, fitted = _residuals(T, a, b)
-    toward, _, by_step = _predict(T, fitted, b.center)
+    toward, _ = _predict(T, fitted, b.center)
+    # By the step, (M, 3, 6): T becomes T Exp(rotation, shift).
+    q = fitted.inverse[:, None]
+    from_rig = (q * (fitted.center - T.t) + fitted.ray) @ T.R
+    by_step = np.concatenate([cross(from_rig), -q[:, :, None] * np.eye(3)], axis=2)
     return residuals, whiten @ _seen(toward, b)[1] @ by_step
 
 

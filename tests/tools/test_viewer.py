@@ -452,7 +452,7 @@ def test_surfaces_begin_with_the_picture_until_the_reader_mixes(open_page, writt
     for mode, first in (("surfaces", 0), ("look", 50), ("points", 0), ("flat", 50)):
         page.click(f"label:has([value={mode}])")
         assert page.evaluate(mix) == first
-    assert page.inner_text("#leastWords") == "hide doubtful (gray): none"
+    assert page.inner_text("#leastWords") == "hide doubtful (grey): none"
     page.fill("#mix", "30")
     page.click("#fly")
     assert page.evaluate(mix) == 30 and page.inner_text("#mixWords").startswith("70 % picture")
@@ -475,9 +475,18 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
     page.set_input_files("#beside input", file)
     page.wait_for_function("!$('sides').hidden")
     assert page.inner_text("#sidesWords") == "Left of the line a <box>, right another"
+    # an eighth of the own rays is wrong, and of the other's what is not far away
+    off = page.inner_text("#facts")
+    assert off.startswith("Off by more than 1 %: a <box> 13 %, another ") and int(off[-4:-2]) > 80
+    assert page.inner_text("#title") == "a <box> against another"
     for mode in ("points", "surfaces"):  # which show the own run alone
-        assert not in_mode(page, mode).locator("#sides").is_visible()
-    assert in_mode(page, "flat").locator("#sides").is_visible()
+        page.click(f"label:has([value={mode}])")
+        page.wait_for_function("$('divide').hidden")
+        assert page.evaluate("+$('mix').value") == 0
+        assert page.inner_text("#sidesWords") == "a <box>; another has no points or surfaces here"
+    page.click("label:has([value=flat])")
+    page.wait_for_function("!$('divide').hidden")
+    assert page.evaluate("+$('mix').value") == 100
     k = 20 * 160 + 80
     press(page, place_of(page, point_of(depth, 20, 80)))
     assert page.inner_text("#sentence") == "a <box>: " + page.evaluate("sentenceOf(why)")
@@ -491,6 +500,10 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
         page.evaluate(f"$('divide').value = {divide}; draw()")
         at = 255 * (page.evaluate(inverse) - data["low"]) / (data["high"] - data["low"])
         np.testing.assert_allclose(color_of(page, depth, 20, 80), colors[round(at)], atol=12)
+    page.select_option("#layer", "apart")
+    apart = page.evaluate(f"Math.abs(other.inverse[{k}] - inverse({k})) * D.percent")
+    expected = colors[min(round(25.5 * apart), 255)]
+    np.testing.assert_allclose(color_of(page, depth, 20, 80), expected, atol=12)
     page.focus("#divide")
     page.keyboard.press("End")
     assert page.evaluate("+$('divide').value") == 1

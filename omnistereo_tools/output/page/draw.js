@@ -9,7 +9,8 @@ const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.ab
 // A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
 // NAMING writes the number of the ray in place of its colour; MIXED shows depth in the picture; THIN leaves out rays
 // that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS are discs
-// of one colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
+// of one colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2
+// for the error, 3 for the difference from the other run.
 const SHADE = `
 precision highp float;
 uniform sampler2D picture, colors, trusts;
@@ -28,7 +29,8 @@ vec3 surfaces(vec2 at, bool byExact, vec3 here) {
   vec4 c = texelFetch(rays, ivec2(columns.x, rows.y), 0), d = texelFetch(rays, ivec2(columns.y, rows.y), 0);
   vec4 share = vec4(1.0 - part.x, part.x, 1.0 - part.x, part.x) * vec4(vec2(1.0 - part.y), vec2(part.y));
   vec4 estimate = BESIDE ? vec4(a.z, b.z, c.z, d.z) : vec4(a.x, b.x, c.x, d.x), exact = vec4(a.y, b.y, c.y, d.y), inverse = byExact ? exact : estimate;
-  vec4 value = LAYER == 2 ? mix(abs(estimate - exact), vec4(-1), lessThan(exact, vec4(0))) : inverse;
+  vec4 from = LAYER == 3 ? vec4(a.z, b.z, c.z, d.z) : exact, own = LAYER == 3 ? vec4(a.x, b.x, c.x, d.x) : estimate;
+  vec4 value = LAYER > 1 ? mix(abs(own - from), vec4(-1), lessThan(min(own, from), vec4(0))) : inverse;
   float low = min(min(inverse.x, inverse.y), min(inverse.z, inverse.w));
   float high = max(max(inverse.x, inverse.y), max(inverse.z, inverse.w));
   if (high <= ${EDGE} * low || high - low <= edge) return vec3(dot(share, value), 0, 1);
@@ -45,7 +47,7 @@ vec3 surfaces(vec2 at, bool byExact, vec3 here) {
 
 vec3 inColors(float value) {
   if (value < 0.0) return vec3(0.7);
-  float scaled = LAYER == 2 ? value * perPercent : (value - range.x) / (range.y - range.x);
+  float scaled = LAYER > 1 ? value * perPercent : (value - range.x) / (range.y - range.x);
   return texture(colors, vec2(clamp(scaled, 0.002, 0.998), 0.5)).rgb;
 }
 
@@ -155,7 +157,7 @@ const OUTSIDE = {
       if (shown.a < 0.02) discard;
 #endif
 #ifdef VEIL
-      shown = vec4(mix(paper, shown.rgb, 0.15), 1);
+      shown = vec4(paper + (mod(gl_FragCoord.x + gl_FragCoord.y, 10.0) < 2.0 ? 0.06 : 0.0), 1);
 #endif
       color = shown;
 #endif
@@ -312,7 +314,7 @@ function makeRenderer(canvas, picture, mesh) {
     gl.bindVertexArray(null);
   }
 
-  // What is hidden behind an edge in depth: faint, from the near surface to the far one.
+  // What is hidden behind an edge in depth, from the near surface to the far one: hatched.
   function drawVeil(view, settings) {
     use(view, settings, "VEIL");
     gl.disable(gl.CULL_FACE);

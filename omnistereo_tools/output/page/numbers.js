@@ -50,9 +50,10 @@ const pointOf = (k, from = steps) => directionOf(k).map(x => x / inverse(k, from
 const width = code => code ? D.perStep * 2 ** ((code - 1) / 16) : NaN;
 const sigma = k => width(sigmas[k]), bound = k => width(bounds[k]);
 
-// A depth with its error bar: of the depth, σ is larger to the far side.
+// A depth with its error bar: of the depth, σ is larger to the far side. Of what is far it would say nothing.
 function withBar(k) {
   const q = inverse(k), s = sigma(k);
+  if (q - s <= 0 || q * D.maxDepth < 1) return (q > 1e-6 ? "about " : "") + metres(1 / q);
   return metres(1 / q) + (Number.isNaN(s) ? "" : ` ± ${oneDigit(s / q ** 2)}`);
 }
 

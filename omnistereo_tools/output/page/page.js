@@ -36,7 +36,7 @@ function settings() {
   const paper = (dark.matches || outside() ? 0x20 : 0xfa) / 255;
   return {
     paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
-    layer: ["estimate", "truth", "error"].indexOf($("layer").value),
+    layer: ["estimate", "truth", "error", "apart"].indexOf($("layer").value),
     divide: $("divide").value * canvas.width,
   };
 }
@@ -51,7 +51,7 @@ function draw() {
 function drawNow() {
   renderer.draw(seen(), settings());
   drawMarks();
-  $("sides").hidden = !other || outside();  // between points and surfaces there is no line
+  $("divide").hidden = outside();  // between points and surfaces there is no line
   clearTimeout(storing);
   storing = setTimeout(storeState, 200);
   document.body.dataset.drawn = mode();
@@ -146,7 +146,7 @@ function distanceWords() {
   if (picks.length < 2) return `${PRESS} a second place to measure.`;
   const [length, error] = distanceBetween(...picks);
   if (!(length < 1e6)) return "One of the two is too far away to measure.";
-  return `${metres(length)} ± ${oneDigit(error)} between the two marks`;
+  return (error < length / 2 ? `${metres(length)} ± ${oneDigit(error)}` : `about ${metres(length)}`) + " between the two marks";
 }
 
 function tell(event) {
@@ -285,7 +285,7 @@ $("curve").onpointerdown = $("curve").onpointermove = event => {
   $("along").value = Math.round((event.clientX - box.left - 5) / (box.width - 10) * (D.spheres - 1));
   showAlong();
 };
-document.querySelector("#why .close").onclick = () => { $("why").hidden = true; canvas.focus(); };
+document.querySelector("#why .close").onclick = () => { $("why").hidden = true; picks = []; $("distance").textContent = ""; draw(); canvas.focus(); };
 
 // --- Pointers and keys -----------------------------------------------------------------------------------------------
 
@@ -295,7 +295,6 @@ canvas.addEventListener("pointerdown", e => {
   canvas.setPointerCapture(e.pointerId);
   dragging.set(e.pointerId, e);
   pressed = dragging.size === 1 ? e : null;
-  // A finger does not hover.
   tell(e);
 });
 // Not when the finger is lifted: the page is laid out anew, and its click would fall on what then lies below it.
@@ -314,7 +313,7 @@ canvas.addEventListener("pointermove", e => {
     zoom(apart(e) / Math.max(apart(before), 1));
   }
   if (before) dragging.set(e.pointerId, e);
-  if (before || hovered) return;
+  if (before || hovered || e.pointerType === "touch") return;  // a finger does not hover
   hovered = true;
   requestAnimationFrame(() => { hovered = false; tell(e); });
 });
@@ -382,13 +381,24 @@ async function showBeside(run) {
     trust: Uint8Array.from(at, k => k < 0 ? 0 : theirTrust ? theirTrust[k] : 100),
   };
   renderer.showOther(other);
-  $("sidesWords").textContent = `Left of the line ${nameOf(D)}, right ${nameOf(run)}`;
-  mixed = true;
-  $("mix").value = 100;
+  const names = [D, run].map(nameOf), both = `Left of the line ${names[0]}, right ${names[1]}`;
+  $("title").textContent = names.join(" against ");
+  $("facts").textContent = truth ? `Off by more than 1 %: ${names.map((name, i) => `${name} ${offPercent(i ? k => other.inverse[k] : inverse)} %`).join(", ")}` : "";
+  $("sides").hidden = false;
+  showSides = () => { $("sidesWords").textContent = outside() ? `${names[0]}; ${names[1]} has no points or surfaces here` : both; };
+  $("layer").append(new Option("difference", "apart"));
+  $("layers").hidden = false;
+  $("mix").dataset.first = $("mix").value = 100;
   if (outside()) document.querySelector("input[value=look]").checked = true;
   if (!$("why").hidden) showWhy(why.k);
   showWords();
   draw();
+}
+let showSides = () => {};
+// Of the rays whose exact depth is known, how many are off by more than 1 % of the spheres.
+function offPercent(of) {
+  const known = [...truth.keys()].filter(k => truth[k] && of(k) >= 0);
+  return Math.round(100 * known.filter(k => Math.abs(of(k) - inverse(k, truth)) * D.percent > 1).length / known.length);
 }
 const nameOf = run => run.title.replace(/^Depth from \d+ cameras by /, "");
 const otherWords = k => other.inverse[k] < 0 ? "has no depth" : metres(1 / other.inverse[k]);
@@ -470,7 +480,8 @@ function showWords() {
   const mixed = +$("mix").value, odds = ODDS[$("least").value];
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
   const share = trust.reduce((count, value) => count + (value >= leastTrust()), 0) / trust.length;
-  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful (gray): none";
+  showSides();
+  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful (grey): none";
 }
 
 // The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
@@ -499,11 +510,11 @@ $("layer").onchange = () => {
   draw();
 };
 dark.onchange = draw;
-document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = mixAnew; });
+document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = () => { $("hint").hidden = true; mixAnew(); }; });
 
 let ticks, labels;
 function showScale() {
-  ticks = $("layer").value === "error" ? [[0, "0 %"], [0.5, "5 %"], [1, "10 % of the spheres"]] : D.ticks;
+  ticks = ["error", "apart"].includes($("layer").value) ? [[0, "0 %"], [0.5, "5 %"], [1, "10 % of the spheres"]] : D.ticks;
   $("scale").querySelectorAll("span").forEach(label => label.remove());
   labels = ticks.map(([, text]) => Object.assign(document.createElement("span"), { textContent: text }));
   $("scale").append(...labels);
@@ -572,9 +583,11 @@ function showPictureOnly() {
   $("title").textContent = D.title;
   $("hint").lastChild.textContent = `${PRESS} a place: why is it that far away?`;
   $("layers").hidden = !D.truth;
+  if (!D.truth) for (const name of ["truth", "error"]) $("layer").querySelector(`[value=${name}]`).remove();
   $("sure").hidden = !D.trust;
   $("least").max = ODDS.length - 1;
   await unpackRays();
+  if (D.trust) $("facts").textContent = `${Math.round(100 * trust.filter(percent => percent < D.doubtful).length / trust.length)} % of rays are doubtful: grey`;
   const picture = new Image();
   picture.src = D.picture;
   await picture.decode();

@@ -106,6 +106,7 @@ async function makeDraw(gl) {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const values = { low: D.low, size: D.size, view: [canvas.width, canvas.height], nearest: NEAREST, phi: D.phi, ...seen, axes: axesOf(seen.turn) };
+    delete values.turn;  // of the reader; each picture has its own
     if (seen.sky) {
       gl.useProgram(sky.program);
       gl.bindTexture(gl.TEXTURE_2D, textures[D.views.indexOf(seen.sky)]);
