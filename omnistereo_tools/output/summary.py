@@ -34,7 +34,10 @@ def turn_sentence(rig: Rig) -> str | None:
 def fits(doubtful_percent: float) -> bool:
     """Return whether the rig and the images seem to fit, by how many percent of rays are doubtful.
 
-    With a right rig at most half are; an image upside down or of another moment makes it more.
+    Measured on the first frame of sunny, cloudy, indoor and aerial, 320 columns, VolumeNet: 7, 7,
+    34 and 2 % with the right rig; 33, 38, 67 and 31 % with one image of another moment, 40, 40, 60
+    and 17 % with one upside down, 64, 63, 77 and 59 % with two swapped. So this tells the gross
+    mistakes only; `first_look.image_doubts` tells others.
     """
     return doubtful_percent <= _MISFIT
 
