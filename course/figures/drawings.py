@@ -189,9 +189,14 @@ def board_triangle() -> Figure:
     follows.
     """
     fig, (ax,) = _canvas(8, 3.6)
-    places = {"camera 1": ((0, 0), FIRST), "camera 2": ((4, 0), SECOND), "board": ((2, 2.2), POINT)}
-    for name, ((x, y), color) in places.items():
-        for dx, dy, axis in ((0.55, 0, "x"), (0, 0.55, "z")):
+    places = {
+        "camera 1": ((0, 0), FIRST, 25),
+        "camera 2": ((4, 0), SECOND, -15),
+        "board": ((2, 2.2), POINT, 60),
+    }
+    for name, ((x, y), color, turned) in places.items():
+        c, s = 0.55 * np.cos(np.radians(turned)), 0.55 * np.sin(np.radians(turned))
+        for dx, dy, axis in ((c, s, "x"), (-s, c, "z")):
             _arrow(ax, (x, y), (x + dx, y + dy), color)
             ax.text(
                 x + 1.2 * dx, y + 1.2 * dy, axis, color=color, ha="center", va="center", fontsize=9
