@@ -172,9 +172,11 @@ def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
     )
 
 
-def calibration_figure(report: CameraReport, camera: OcamCamera | None = None) -> Figure:
+def calibration_figure(
+    report: CameraReport, camera: OcamCamera | None = None, name: str = ""
+) -> Figure:
     """Return what a calibration is judged by: coverage, residuals, by angle, directions; see
-    `draw_coverage`.
+    `draw_coverage`. With the name of the camera its title says what is found, and what to do.
     """
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots(2, 2)
@@ -182,4 +184,14 @@ def calibration_figure(report: CameraReport, camera: OcamCamera | None = None) -
     draw_residuals(axes[0, 1], report)
     draw_error_by_angle(axes[1, 0], report)
     draw_error_directions(axes[1, 1], report)
+    if name and camera is not None:
+        reach, most = report.max_corner_angle_deg, camera.max_fov_deg / 2
+        todo = (
+            "hold the board where it is shaded" if uncovered(report, camera) else "all is covered"
+        )
+        found = f"rms {report.rms_px:.2f} px, corners up to {reach:.0f}° of {most:.0f}°"
+        figure.suptitle(f"{name}: {found}; {todo}", fontsize=14)
+        axes[0, 1].set_title("every error; circles of one, two and three σ")
+        axes[1, 0].set_title("a mean off zero: the lens model is too simple there")
+        axes[1, 1].set_title("direction of the error; one colour nearby: a bias")
     return figure

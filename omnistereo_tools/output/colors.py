@@ -84,4 +84,7 @@ class ColorScale:
             at = (1 / depth - self.low) / (self.high - self.low)
             if -1e-6 <= at <= 1 and (not chosen or at - chosen[-1][0] > 1 / 10):
                 chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
+        # the near end, which what is nearer shows, too
+        if not chosen or chosen[-1][0] < 0.85:
+            chosen.append((1.0, f"{1 / self.high:.2g} m"))
         return chosen

@@ -83,7 +83,9 @@ def draw_frame(
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     eye = around(AWAY * depth.grid.min_depth, turn, _TILT)
     view = draw_surfaces(depth, panorama, doubts, eye, (FILM[0], panes(depth.grid)[0]))
-    return compose(view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: no depth")
+    return compose(
+        view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: no depth, dark: not seen"
+    )
 
 
 def panes(grid: SphereGrid) -> tuple[int, int]:

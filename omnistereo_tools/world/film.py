@@ -59,7 +59,9 @@ def flight(
             colors[some] = paint(panoramas[k], grid, seen)[:, :3]
         picture[hit] = colors
         view = views[nearest]
-        note = f"frame {view.number}, as all frames know it. Striped: no depth"
+        note = (
+            f"frame {view.number}, with the depth of all frames. Striped: no depth, dark: not seen"
+        )
         depth = scale.colorize(view.refined)
         yield compose(brighter(picture), view.panorama, depth, scale, note)[..., ::-1]
 

@@ -162,7 +162,7 @@ let shownFrame = null;
 function showFrame(nearest) {
   if (nearest === shownFrame) return;
   shownFrame = nearest;
-  for (const [name, words] of [["before", "by itself"], ["after", "as all frames know it"]]) {
+  for (const [name, words] of [["before", "by itself"], ["after", "from all frames together"]]) {
     $(name).src = nearest[name];
     $(name).nextElementSibling.textContent = `Depth of frame ${nearest.number} ${words}; near is bright.`;
   }
