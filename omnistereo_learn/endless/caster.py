@@ -27,7 +27,7 @@ from omnistereo_learn.endless.textures import (
     ramp,
     surface_coordinates,
 )
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 
 # a cylinder stands along its y axis; SOFT: a rounded, bumpy box or ellipsoid
 BOX, ELLIPSOID, CYLINDER, SOFT = range(4)

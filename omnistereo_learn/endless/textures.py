@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 
 PLAIN, CLOUDS, CHECKER, BRICKS, FACADE, BOOKS, GRAIN, POSTER = range(8)  # textures
 SOLID, LEAVES, BARS, MESH, OPENING = range(5)  # what is cut out of a surface

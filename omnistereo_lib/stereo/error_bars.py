@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from omnistereo_lib.files import read_data
+from omnistereo_lib.geometry.sensitivity import calibration_deviation
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels import distribution_numba
 from omnistereo_lib.stereo.methods import Method
-from omnistereo_lib.stereo.sensitivity import calibration_deviation
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import PART, map_threads
 

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.errors import check_number
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.sensitivity import inverse_depth_shifts
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.error_bars import WITHIN
-from omnistereo_lib.stereo.sensitivity import inverse_depth_shifts
 from omnistereo_tools.judge.trust import likely
 
 PATCH_DEG = 5.0  # side of a patch: as wide as ZNCC's window at 640 columns, 9 rays

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.kernels.compiled import compiled
 from omnistereo_tools.output.colors import BACKGROUND
 from omnistereo_tools.output.mesh_export import surfaces
 from omnistereo_tools.output.points import Limits

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 from omnistereo_lib.stereo.threads import map_threads
 
 # Voxels a side; the block of voxel i is i >> 3, its place there i & 7.

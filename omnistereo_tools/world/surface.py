@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 from omnistereo_tools.world.fusion import BAND, BLOCK, Volume, Voxels, distance_at, find_block
 
 _LEAST_WEIGHT = 2.0  # 1/m²: only a surface that is known to 0.7 m is drawn

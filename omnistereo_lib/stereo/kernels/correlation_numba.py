@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 
 # exp(-15) of the largest is nothing: most costs after SGM are skipped.
 _LEAST = 15.0

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from omnistereo_lib.reference import MAX_LAPS
-from omnistereo_lib.stereo.compiled import compiled, minimum
+from omnistereo_lib.stereo.kernels.compiled import compiled, minimum
 from omnistereo_lib.stereo.threads import map_threads
 
 INFINITY = np.float32(np.inf)

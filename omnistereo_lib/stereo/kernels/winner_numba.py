@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from omnistereo_lib.stereo.compiled import compiled, minimum
+from omnistereo_lib.stereo.kernels.compiled import compiled, minimum
 
 
 def winner_and_confidence(volume: Tensor, subindex: bool) -> Tensor:

@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.reference import FLAT_VARIANCE
 from omnistereo_lib.stereo.columns import common_columns
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.kernels.compiled import compiled
 
 # Spheres side by side, as many as a block of the sweep has.
 _LANES = 16

@@ -9,8 +9,8 @@ from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.geometry.rig import Deviation
+from omnistereo_lib.geometry.sensitivity import calibration_deviation, inverse_depth_shifts
 from omnistereo_lib.stereo.error_bars import WITHIN, distribution, distribution_by_torch
-from omnistereo_lib.stereo.sensitivity import calibration_deviation, inverse_depth_shifts
 
 GRID = osl.SphereGrid(160, 40, num_spheres=96, min_depth=1.65)
 
