@@ -12,8 +12,8 @@ import pytest
 
 import omnistereo_lib as osl
 from course import nbtools
-from course.figures import notation as figures
 from omnistereo_tools.output import viewer
+from workshop.publish import notation as figures
 from workshop.publish import pages, readme
 
 ROOT = nbtools.ROOT

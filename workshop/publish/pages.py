@@ -32,7 +32,7 @@ LIST = re.compile(r"(?<=<!-- )(\w+)( -->\n).*?(?=<!-- /\1 -->)", re.DOTALL)
 
 def main() -> None:
     """Update all lists, and the pictures that show something else by now."""
-    from course.figures.notation import draw_figures
+    from workshop.publish.notation import draw_figures
     from workshop.publish.readme import renew, update_pictures
 
     for page in (README, *sorted(BOOK.glob("*.md"))):
