@@ -3,6 +3,7 @@
 A notebook without outputs would pass nbval with nothing compared, so this comes first.
 """
 
+import ast
 import re
 from itertools import pairwise
 
@@ -41,3 +42,23 @@ def test_exercises_are_numbered_and_the_open_one_comes_last(path):
 def test_every_caption_belongs_to_one_figure():
     text = "".join(path.read_text(encoding="utf-8") for path in [*nbtools.notebooks(), TEMPLATE])
     assert sorted(re.findall(r'show\(.*, \\"([^"]*)\\"\)', text)) == sorted(captions())
+
+
+def lines(source):
+    """Lines of code without comments, docstrings and imports, as Python itself writes them."""
+    tree = ast.parse(source)
+    tree.body = [n for n in tree.body if not isinstance(n, ast.Import | ast.ImportFrom)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and ast.get_docstring(node):
+            node.body = node.body[1:]
+    return len(ast.unparse(tree).split("\n"))
+
+
+def test_of_the_code_that_is_open_students_write_a_fifth():
+    written = given = 0
+    for nb in map(nbtools.read_notebook, nbtools.notebooks()):
+        written += sum(lines(function.source) - 1 for function in nbtools.open_functions(nb))
+        folded = nbtools.drawing_cells(nb)
+        given += sum(lines(c.source) for c in nbtools.code_cells(nb) if c not in folded)
+        assert max(lines(function.source) - 1 for function in nbtools.open_functions(nb)) >= 9
+    assert written / (written + given) >= 0.2
