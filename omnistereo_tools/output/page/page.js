@@ -180,7 +180,7 @@ function tiltWords({ k, shift }) {
 function showAlong() {
   const n = +$("along").value, at = n === Math.round(why.index) ? inverse(why.k) : inverseOf(n);
   const depth = metres(1 / at), agreement = why.agreement[n];
-  const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the cameras agree by ${agreement.toFixed(2)} of 1`;
+  const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the agreement is ${agreement.toFixed(2)}, at most 1`;
   $("alongWords").textContent = `At ${depth}, ${words}.`;
   drawCurve(sphereOf(at));
   D.cameras.forEach((camera, i) => { drawPatch(camera, i, at); drawFisheye(camera, i, at); });
@@ -299,7 +299,7 @@ canvas.addEventListener("pointerdown", e => {
 });
 // Not when the finger is lifted: the page is laid out anew, and its click would fall on what then lies below it.
 canvas.addEventListener("click", e => {
-  if (pressed && Math.hypot(e.clientX - pressed.clientX, e.clientY - pressed.clientY) < 6) pick(rayAt(e));
+  if (pressed && Math.hypot(e.clientX - pressed.clientX, e.clientY - pressed.clientY) < 6) pick(rayAt(pressed));  // of a tap, to less than a pixel
 });
 for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => dragging.delete(e.pointerId));
 let hovered = false;
