@@ -17,9 +17,12 @@ from omnistereo_lib.geometry.pose import Floats, Pose, rotation_from_axis_angle
 from omnistereo_lib.geometry.rig import Pair, Rig
 from omnistereo_rigs.doctor.evidence import Evidence
 from omnistereo_rigs.images.relative_pose import RelativePose
+from omnistereo_rigs.images.track_bundle import mean_baseline
 
 # In radians, the scale of the robust cost.
 _NOISE = 1e-3
+# In mean baselines: a camera that fits only farther off than this fits nowhere.
+_FARTHEST = 1e3
 # Factors of a focal length, in steps of 1 %.
 _SCALES = np.exp(np.linspace(-0.35, 0.35, 71))
 
@@ -86,6 +89,8 @@ def _free_pose(evidence: Evidence, rig: Rig, k: int, pairs: dict[Pair, RelativeP
     # best.
     for start in [rig.T_rig_cam[k], *_starts(rig, k, pairs)]:
         pose = _fit(start, x, y, c)
+        if np.abs(pose.t - rig.centers).max() > _FARTHEST * mean_baseline(rig.centers):
+            continue
         moved = rig.with_poses([pose if i == k else T for i, T in enumerate(rig.T_rig_cam)])
         score = float(evidence.counts(moved).sum() / 2)
         if score > best.score:

@@ -4,6 +4,7 @@ right rigs pass."""
 import dataclasses
 import itertools
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
 from omnistereo_learn.evaluate.run import DATA
-from omnistereo_rigs.doctor import rig_check
+from omnistereo_rigs.doctor import one_camera, rig_check
 from omnistereo_rigs.doctor.evidence import Flip, flips
 from omnistereo_rigs.doctor.mixups import explain
 from omnistereo_rigs.doctor.one_camera import scaled_lens
@@ -258,6 +259,14 @@ def test_a_flip_is_undone_where_a_picture_is_square():
 
 
 @pytest.mark.slow
+def test_a_freed_pose_that_runs_away_is_left_out(monkeypatch):
+    """In a flight with a wrong lens a centre was fitted 3e7 m away, which no rig may have."""
+    ahead = np.tile([0.0, 0.0, 1.0], (20, 1))
+    evidence = SimpleNamespace(rays=lambda *_: (ahead, ahead), counts=lambda _: np.ones((4, 4)))
+    monkeypatch.setattr(one_camera, "_fit", lambda start, *_: osl.Pose(start.R, [3e7, 0.0, 0.0]))
+    assert all(one.rig is RIG for one in one_camera.free_poses(evidence, RIG, {}))
+
+
 def test_inverted_poses_are_named_from_images(street):
     rig, images = street
     check = check_rig(invert_poses(rig), images)
