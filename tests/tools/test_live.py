@@ -169,6 +169,28 @@ def test_the_browser_gets_a_stream_and_depths(picture):
     assert streamed == live_view.PART + shown.jpeg + b"\r\n" + live_view.PART
 
 
+def test_on_a_telephone_the_panoramas_lie_below_each_other_and_are_tapped(picture, open_page):
+    depth, shown = picture
+    latest, (top, height) = Latest(), panes(GRID)
+    with serve(latest) as address:
+        page = open_page(390, 844, has_touch=True)
+        page.goto(address, wait_until="commit")
+        assert latest.watched.wait(60)
+        latest.put(shown)
+        page.wait_for_function("first > 0")
+        box = page.locator("#upright").bounding_box()
+        assert box["width"] == 390 and box["y"] + box["height"] < 844
+        row, column, scale = 17, 40, 390 / 960
+        for part in (0, 1):  # the panorama, the depth below it
+            y = top + (part + (row + 0.5) / GRID.height) * height
+            x = (column + 0.5) / GRID.width * 960
+            page.touchscreen.tap(box["x"] + scale * x, box["y"] + scale * y)
+            told = f"{depth.depth[row, column]:.2f} m along the ray"
+            page.wait_for_function("told => $('depth').textContent === told", arg=told)
+            page.evaluate("$('depth').textContent = ''")
+        latest.close()
+
+
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8765", "", None])
 def test_a_page_of_another_name_gets_no_pictures(host):
     """As of a site whose name its owner lets point here (DNS rebinding)."""
