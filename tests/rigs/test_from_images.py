@@ -21,6 +21,8 @@ from omnistereo_rigs.images.from_images import (
 )
 from omnistereo_rigs.images.relative_pose import decompositions, depths, eight_point, relative_pose
 from omnistereo_rigs.images.track_bundle import TrackBundle, moved_rig, pose_differences
+from omnistereo_tools.commands import calibrate_images
+from omnistereo_tools.commands.calibrate_command import CalibrateOptions
 
 RIG = scene.rig(width=400, height=384)
 
@@ -240,3 +242,23 @@ def test_a_calibration_keeps_weight():
 def test_images_without_texture_are_refused_with_the_number_of_matches():
     with refused("the images have 0 matches between their cameras"):
         measure_rig(RIG, [[np.full((384, 400), 90, np.uint8)] * 4])
+
+
+@pytest.mark.parametrize(("degrees", "word"), [(0.01, "Good"), (0.2, "Fair"), (2.0, "Bad")])
+def test_why_a_given_calibration_stays_is_a_verdict(monkeypatch, capsys, tmp_path, degrees, word):
+    differences = np.zeros((4, 6))
+    differences[1, 0] = np.radians(degrees)
+    points = np.column_stack([np.tile([0.0, 0.0, 1.0], (400, 1)), np.linspace(0.1, 1.0, 400)])
+    found = MeasuredRig(RIG, differences, 1e-7 * np.eye(24), points, 100, 0.1, 0.05)
+    images = [[np.zeros((384, 400), np.uint8)] * 4]
+    monkeypatch.setattr(calibrate_images, "_read", lambda *_: (images, RIG, "calibration"))
+    monkeypatch.setattr(calibrate_images, "find_mixup", lambda _: None)
+    monkeypatch.setattr(calibrate_images, "_measure", lambda *_: (found, "no better", []))
+    pictures = tuple(tmp_path / f"{k}.png" for k in range(4))
+    options = CalibrateOptions(
+        from_images=pictures, rig=tmp_path / "rig.yaml", calibrated=True, out=tmp_path / "out"
+    )
+    assert calibrate_images.run(options) == 1
+    said = capsys.readouterr().out
+    assert said.startswith(f"{word}: the given rig stays, nothing is written: no better.\n")
+    assert not (tmp_path / "out").exists()
