@@ -102,7 +102,7 @@ def run(options: DepthOptions) -> int:
     from omnistereo_lib.files import make_folder
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
+    from omnistereo_tools.judge.first_look import frame_doubts
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
     from omnistereo_tools.output.viewer import read_page
@@ -112,9 +112,9 @@ def run(options: DepthOptions) -> int:
     grid = make_grid(options, coverage, min_depth, options.phi)
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     # Check and say.
-    warn_of(rig_doubts(frame.rig, grid.min_depth))
-    doubt = next(image_doubts(frame, grid), None)
-    warn_of([doubt] if doubt else [])
+    doubts = frame_doubts(frame, grid)
+    warn_of(doubts)
+    doubt = doubts[0] if doubts else None
     hold(out)
     for file in filter(None, (options.mesh, options.equirectangular, options.las)):
         make_folder(file.parent)

@@ -101,7 +101,7 @@ def run(options: RecordOptions) -> int:
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.input.masks import FRAMES
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
+    from omnistereo_tools.judge.first_look import frame_doubts
     from omnistereo_tools.judge.pace import say_recording
     from omnistereo_tools.judge.trust import DOUBTFUL
     from omnistereo_tools.output.summary import fits, verdict
@@ -129,10 +129,9 @@ def run(options: RecordOptions) -> int:
     rows, min_depth = height or width // 4, find_min_depth(stated, frame)
     grid = coverage.propose(width, rows, num_spheres=spheres, min_depth=min_depth)
     # Check and say, before anything is written.
-    warn_of(rig_doubts(rig, grid.min_depth))
-    doubt = next(image_doubts(frame, grid), None)
-    warn_of([doubt] if doubt else [])
-    doubt = told or doubt
+    doubts = frame_doubts(frame, grid)
+    warn_of(doubts)
+    doubt = told or (doubts[0] if doubts else None)
     sweep, method = (
         SphereSweep(rig, grid, device=options.device),
         options.method or stored_method(out),
@@ -159,7 +158,7 @@ def run(options: RecordOptions) -> int:
         progress(done, total, f"frame {number}")
     watching.close()
     share, of_near = writer.doubt_shares()
-    print(verdict(share, f" over {total} frames", doubt))
+    print(verdict(share, grid.width, f" over {total} frames", doubt))
     print(
         f"Of the nearest tenth of rays of each frame, {of_near:.0f} % are doubtful. Doubtful rays"
         f" stay in the files, with values below {DOUBTFUL:g} in {writer.path('trust', 0).parent}/."

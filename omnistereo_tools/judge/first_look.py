@@ -36,6 +36,11 @@ _MARGIN = 0.55
 _PASSES = 2
 
 
+def frame_doubts(frame: Frame, grid: SphereGrid) -> list[str]:
+    """Return what cannot be right with the rig of a frame or, if that may be right, its images."""
+    return [*rig_doubts(frame.rig, grid.min_depth)] or [*image_doubts(frame, grid)]
+
+
 def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
     """Yield what cannot be right with the poses of a rig whose sweep begins at a depth, metres."""
     pairs = list(combinations(range(1, len(rig) + 1), 2))
@@ -52,8 +57,8 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
     reach = float(np.linalg.norm(rig.recentered().centers, axis=1).max())
     if rig.baselines.max() > _FAR_APART:
         yield (
-            f"the cameras are up to {rig.baselines.max():.3g} m apart. Check the unit of the"
-            " translations"
+            f"the cameras are up to {rig.baselines.max():.0f} m apart. Check the unit of the"
+            " translations: `omnistereo rig --unit` converts"
         )
     elif reach > _OUTSIDE * min_depth:
         yield (

@@ -91,7 +91,7 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
         and captured.out.endswith(f"\n{out / 'index.html'}\n")
     )
     # the progress bar
-    assert "of 2304 rays have a depth" in captured.out and "camera 1 of 4:" in captured.err
+    assert "of 2304 rays have a depth" in captured.out and "tables:" in captured.err
 
 
 def test_las_without_laspy_is_refused_before_anything_is_computed(data, tmp_path, capsys):
@@ -143,6 +143,16 @@ def test_depth_of_gray_images_without_a_nearest_depth(
     # by the rig's name, or its folder's
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["depth_data"]
     assert read_image(tmp_path / "out" / "depth_data" / "data" / "panorama.jpg").ndim == 2
+
+
+def test_a_rig_in_a_wrong_unit_is_the_verdict(data, tmp_path, capsys, scene_images):
+    """Not that a quarter of its rays are doubtful."""
+    rig = scene_images[0]
+    poses = [osl.Pose(pose.R, 1000 * pose.t) for pose in rig.T_rig_cam]
+    osl.save_rig(osl.Rig(rig.cameras, poses, 100.0), data / "config.yaml")
+    assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out", "--strict") == 1
+    said = capsys.readouterr().out.splitlines()[0]
+    assert re.search(r"^Bad: .*: the cameras are up to \d+ m apart. Check the unit .*--unit", said)
 
 
 def test_doctor_of_a_wrong_rig(data, capsys, scene_images):

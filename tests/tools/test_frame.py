@@ -20,7 +20,7 @@ from omnistereo_tools.output import overview
 from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.frame import FrameResult
 from omnistereo_tools.output.points import Limits, PointCloud
-from omnistereo_tools.output.summary import depth_sentences, error_sentences, nearest_depth
+from omnistereo_tools.output.summary import depth_sentences, error_sentences, nearest_depth, verdict
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
 
@@ -139,6 +139,18 @@ def test_the_nearest_thing_covers_2_permille_of_the_sphere(depth):
     index[-1] = 12  # 2 % of the rays, but .04 % of the sphere
     found = osl.Depth(index, np.ones(grid.shape), osl.SphereSweep(depth.sweep.rig, grid))
     assert nearest_depth(found, found.valid) == pytest.approx(grid.index_to_depth(5))
+
+
+def test_the_rig_is_suspected_of_doubtful_rays_but_so_is_a_coarse_grid(depth):
+    """With 160 columns a right rig gets more than half of them, too; 320 are enough."""
+    doubtful = depth.depth <= np.nanquantile(depth.depth, 0.6)
+    said = depth_sentences(depth, Limits(1e9, 0.0), doubtful)[0]
+    assert said.startswith("Bad: 6") and said.endswith(
+        ": 160 columns are too few, or the rig and the images may not fit."
+    )
+    assert (
+        verdict(60.0, 320) == "Bad: 60 % of rays are doubtful: the rig and the images may not fit."
+    )
 
 
 def test_a_depth_that_is_the_same_all_around_is_not_good(depth):
