@@ -25,7 +25,7 @@ from omnistereo_tools.input.sources import Recording, open_sources
 from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
-from omnistereo_tools.output.colors import colorize_depth
+from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.pictures import FILM, panes
 from omnistereo_tools.record import recordings, watching
 
@@ -128,7 +128,7 @@ def test_doubtful_rays_are_faded_in_the_video(done):
         read_inverse_depth(done / f"{kind}_96" / "00003.tiff")
         for kind in ("depth_estimate", "trust")
     )
-    colors = colorize_depth(inverse, replace(GRID, min_depth=GRID.min_depth / 0.8))
+    colors = ColorScale(0.0, 0.8 / GRID.min_depth).colorize(inverse)
     off = np.abs(picture - colors).mean(-1)
     assert (trusted < 0.5).sum() > 20 and off[trusted < 0.5].mean() > 3 * off[trusted >= 0.5].mean()
 
