@@ -108,7 +108,11 @@ def main(arguments: list[str] | None = None) -> int:
     ship.add_argument("run", type=Path, help="folder of the run")
     ship.add_argument("--half", action="store_true", help="store float16: half the file")
     bench = add("bench", "results.bench.run", "time the library against named alternatives")
-    bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
+    bench.add_argument(
+        "--quick",
+        action="store_true",
+        help="five minutes: without growth, nor the scale of the paper",
+    )
     bench.add_argument(
         "--against", type=Path, metavar="CLONE", help="another clone, compared by turns"
     )

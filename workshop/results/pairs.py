@@ -83,7 +83,7 @@ def compare_builds(other: Path, runs: int = 3) -> None:
             def run(clone: Path, command: str = command) -> list[float]:
                 return _run_command(clone, command, outs[clones.index(clone)])
 
-            _print_pair(name, goals, [_least(run, clones, runs)[k] for k in range(2)])
+            _print_pair(name, goals, _least(run, clones, runs))
     for name, method, width, height, spheres, goal in _FRAMES:
         sizes = width, height, spheres, 4, 3
 
@@ -93,7 +93,8 @@ def compare_builds(other: Path, runs: int = 3) -> None:
             return _frame(clone, method, sizes)
 
         title = f"{name} {width}×{height}×{spheres}"
-        _print_pair(title, (goal,), _least(run_frame, clones, 2))
+        # Each run is the least of three frames already.
+        _print_pair(title, (goal,), _least(run_frame, clones, runs - 1))
 
 
 def _least(
@@ -126,17 +127,19 @@ def _run_command(clone: Path, command: str, out: Path) -> list[float]:
             shutil.rmtree(out / made, ignore_errors=True)
     out.mkdir(exist_ok=True)
     typed = command.replace("OUT", str(out)).split()
-    start = time.perf_counter()
-    child = subprocess.Popen(
-        [_python(clone), "-m", "omnistereo_tools", *typed],
-        cwd=clone,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    _, status, used = os.wait4(child.pid, 0)
+    start, log = time.perf_counter(), out / "log.txt"
+    with log.open("wb") as file:
+        child = subprocess.Popen(
+            [_python(clone), "-m", "omnistereo_tools", *typed],
+            cwd=clone,
+            stdout=file,
+            stderr=file,
+        )
+        _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode not in (0, 1):  # 1: a check of the doctor failed
-        sys.exit(f"{clone}: omnistereo {command} ends with {child.returncode}")
+        said = log.read_text(encoding="utf-8", errors="replace")[-300:]
+        sys.exit(f"{clone}: omnistereo {' '.join(typed)} ends with {child.returncode}: {said}")
     return [time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / 2**20]
 
 
