@@ -126,6 +126,8 @@ def _run_command(clone: Path, command: str, out: Path) -> list[float]:
         if command.startswith(name):
             shutil.rmtree(out / made, ignore_errors=True)
     out.mkdir(exist_ok=True)
+    if (clone / "omnistereo_lib" / "calibrate").is_dir():  # as 34d45a7, the build of the goals
+        command = command.replace("--grid", "--width")
     typed = command.replace("OUT", str(out)).split()
     start, log = time.perf_counter(), out / "log.txt"
     with log.open("wb") as file:
