@@ -192,6 +192,8 @@ class VolumeNet(StoredNetwork):
         """Return the volume (B, 9, W, H, N) as a copy in the layout and precision of the U-net."""
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
         # leaves odd strides; at once in the precision of the products, in half the memory.
+        # oneDNN's blocked, prepacked and fused forms take as long: 10.7 to 12.4 ms of one core for
+        # 16 channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has 25.
         kind = volume.device.type
         half = not self.training and torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if half else volume.dtype
