@@ -27,7 +27,7 @@ EIGHT = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
 
 def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple) -> None:
     """Show what a function and the right one make of the same inputs, on one colour scale; NaN is
-    gray.
+    grey.
 
     Nothing is shown of a function that stops, whose picture has another shape, or that looks right
     here. Of a cost volume the winners are shown.
@@ -106,12 +106,12 @@ def warped() -> NDArray[np.float64]:
 
 
 def gray() -> NDArray[np.float64]:
-    """Return the same in gray, (4, H, W)."""
+    """Return the same in grey, (4, H, W)."""
     return warped().mean(axis=-1)
 
 
 def image() -> NDArray[np.float64]:
-    """Return the image of the first camera in gray."""
+    """Return the image of the first camera in grey."""
     return np.mean(_street()[0].images[0], axis=-1)
 
 

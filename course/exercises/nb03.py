@@ -98,7 +98,7 @@ check_pixels_of_points = Open(pixels_of_points, _a_camera, within=1e-3).with_sli
 
 
 def look_up(image, pixels):
-    """Gray values (…) of an image (H, W) at pixels (…, 2), each a mean of the four around it; NaN
+    """Grey values (…) of an image (H, W) at pixels (…, 2), each a mean of the four around it; NaN
     at NaN."""
     u, v = pixels[..., 0], pixels[..., 1]
     x = np.clip(np.floor(np.nan_to_num(u)).astype(int), 0, image.shape[1] - 2)

@@ -96,7 +96,7 @@ check_zncc_costs = Open(
     np.where(both, a, 0.0), np.where(both, b, 0.0) → np.nan_to_num(a), np.nan_to_num(b)
     # only pixels that both cameras see may count, in all five sums
     np.maximum(window_sums(both.astype(float), radius), 1) → (2 * radius + 1) ** 2
-    # 0 is a gray value, too: divide the sums by the number of pixels that both cameras see
+    # 0 is a grey value, too: divide the sums by the number of pixels that both cameras see
     (1 - zncc) / 2 → zncc  # that is ZNCC; the cost is (1 - ZNCC) / 2
 """)
 
@@ -154,7 +154,7 @@ check_winner = Open(winner, _a_volume, real=beside.costs).with_slips("""
 def suspects(bad, texture_of, index, radius):
     """Rows (4, 2): percent of all rays, and percent of them that are bad (H, W), of all rays, flat
     windows, windows whose index varies, and the rest."""
-    # flat: a standard deviation below 2 gray levels; varies: by more than 4 spheres
+    # flat: a standard deviation below 2 grey levels; varies: by more than 4 spheres
 
     def windows(image):  # (H, W, window): columns go around, beyond the rows nothing is known
         wide = np.pad(image, ((0, 0), (radius, radius)), mode="wrap")
@@ -184,7 +184,7 @@ check_suspects = Open(suspects, _a_street, whole=("bad", "texture_of", "index"))
     mode="wrap" → constant_values=np.nan
     # the panorama is a circle: its first columns stand in the windows of its last ones
     np.nanstd(windows(texture_of), axis=-1) < 2 → np.nanvar(windows(texture_of), axis=-1) < 2
-    # that is the variance: its root is compared with 2 gray levels
+    # that is the variance: its root is compared with 2 grey levels
     ~flat & ~varies → ~(flat & varies)
     # the rest is neither flat nor varying
     bad[group].mean() → (bad & group).mean()

@@ -52,7 +52,7 @@ check_project = Open(project, _in_camera).with_slips("""
 
 
 def warp(image, camera, pose, points):
-    """Gray values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not
+    """Grey values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not
     see them (Eq. 1)."""
     in_camera = (points - pose.t) @ pose.R  # the way back from p = R q + t, for points in rows
     return look_up(image, project(camera, in_camera))

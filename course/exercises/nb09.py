@@ -116,7 +116,7 @@ check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with
 
 def ask_covered(ask, images, places, cameras, half):
     """Answers (P, …) of ask(images), for each of the places (P, 2), row and column, with a square of
-    2 half + 1 pixels a side around it gray, 0, in some of the cameras.
+    2 half + 1 pixels a side around it grey, 0, in some of the cameras.
 
     images: (cameras, B, H, W); columns go around, NaN stays NaN."""
     H, W = images.shape[-2:]

@@ -48,8 +48,8 @@ check_hit_box = Open(hit_box, _rays_and_box).with_slips("""
 
 
 def checker(points, size):
-    """Gray values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours
-    of different gray."""
+    """Grey values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours
+    of different grey."""
     number = np.floor(points / size).sum(axis=-1)  # floor also rounds down below 0
     return np.where(number % 2 == 0, 0.8, 0.2)  # the cube at the origin is bright
 
@@ -69,7 +69,7 @@ check_checker = Open(checker, _some_points).with_slips("""
 
 
 def look(origin, rays, boxes, to_sun, paint):
-    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light, 0.4 from the
+    """Grey values (…) along rays (…, 3) from a point: paint(points) times the light, 0.4 from the
     sky and up to 0.8 from the sun; 0.9 where a ray meets none of the boxes (n, 2, 3)."""
     distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
     distance, number = distances.min(axis=0), distances.argmin(axis=0)

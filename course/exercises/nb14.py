@@ -69,7 +69,7 @@ check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
 
 
 def witnesses(inverse_depth, warped, pairs):
-    """Contrasts (pairs, H, W) in gray levels of patches of 5 × 5 rays, the smaller one of a pair's
+    """Contrasts (pairs, H, W) in grey levels of patches of 5 × 5 rays, the smaller one of a pair's
     two; NaN where a patch is not seen or not on one surface."""
 
     def windows(panorama):  # (H, W, 25): columns go around, beyond the rows stands the last one
@@ -108,7 +108,7 @@ check_witnesses = Open(witnesses, _some_views, whole=("warped", "pairs")).with_s
     windows(image).std(axis=-1) → np.nanstd(windows(image), axis=-1)
     # the whole patch must be seen: NaN if one of its rays is
     windows(image).std(axis=-1) → windows(image).var(axis=-1)
-    # that is the variance: its root is in gray levels
+    # that is the variance: its root is in grey levels
     np.minimum(contrasts[i], contrasts[j]) → np.maximum(contrasts[i], contrasts[j])
     # a pair needs texture in both images: the smaller contrast
 """)

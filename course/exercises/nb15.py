@@ -40,7 +40,7 @@ check_blend = Open(blend, _some_views).with_slips("""
 
 
 def two_best(samples, angles):
-    """Gray values (2, H, W) of the two cameras that see a ray nearest their axes, in camera order;
+    """Grey values (2, H, W) of the two cameras that see a ray nearest their axes, in camera order;
     NaN if unseen."""
     angles = np.where(np.isnan(samples), np.inf, angles)
     best = np.sort(np.argsort(angles, axis=0)[:2], axis=0)
@@ -63,10 +63,10 @@ check_two_best = Open(two_best, _some_samples).with_slips("""
     axis=0)[:2] → axis=0)[-2:]
     # the two smallest angles are the nearest; unseen, with infinity, comes last
     np.take_along_axis(samples, best, axis=0) → best
-    # those are the cameras' numbers: look their gray values up
+    # those are the cameras' numbers: look their grey values up
     return np.take_along_axis(samples, best, axis=0)
     → return np.sort(np.take_along_axis(samples, best, axis=0), axis=0)
-    # sort the numbers of the cameras, not their gray values
+    # sort the numbers of the cameras, not their grey values
 """)
 
 

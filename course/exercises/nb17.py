@@ -185,7 +185,7 @@ check_march = Open(march, _some_walks, whole=("radii",)).with_slips("""
 
 def mix(own, fused, other):
     """Inverse depth (H, W): the fused one, but the frame's own where that is better; `other` is
-    where gray differs."""
+    where grey differs."""
     apart = np.abs(own - fused)
     near = (own > 1 / 8) & (apart < 0.1 * own)
     moved = other & (apart > 0.1 * own)

@@ -44,7 +44,7 @@ def depth(images, cameras, grid):
 
 
 def gray(image):
-    """An image in gray (height, width), as bright as red, green and blue look to us."""
+    """An image in grey (height, width), as bright as red, green and blue look to us."""
     return image.astype(float) if image.ndim == 2 else image @ [0.299, 0.587, 0.114]
 
 
@@ -63,7 +63,7 @@ def blurred(image, camera, W):
 
 
 def warp(image, camera, points):
-    """Gray values (H, W) of an image at points (H, W, 3) of the rig frame; NaN where the camera
+    """Grey values (H, W) of an image at points (H, W, 3) of the rig frame; NaN where the camera
     does not see them."""
     in_camera = (points - camera.t) @ camera.R
     x, y = np.moveaxis(

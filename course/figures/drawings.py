@@ -456,7 +456,7 @@ def patch_tower() -> Figure:
             if k < min(channels, 5):
                 place = (x + 0.16 * k, -size / 2 + 0.16 * k)
                 ax.add_patch(Rectangle(place, size, size, facecolor=fill, edgecolor="w", lw=0.8))
-        what = f"{channels} channels" if channels > 1 else "gray values"
+        what = f"{channels} channels" if channels > 1 else "grey values"
         ax.text(x + size / 2, -5.6, f"{size} × {size}\n{what}", ha="center", va="top", fontsize=9)
         if size > 1:
             _arrow(ax, (x + size + 1.0, 0), (x + size + 3.0, 0), "0.3", "3 × 3", xytext=(-12, 5))

@@ -139,8 +139,8 @@ def pick_ray(draw: Callable[..., Figure], panorama: NDArray[Any], row: int, colu
 
     Args:
         draw: A function of the `row` and the `column` of a ray that returns a figure.
-        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes
-        gray. row, column: Initial position of the cross.
+        panorama (array, shape (H, W) or (H, W, 3)): Grey values or colours, 0 to 255; NaN becomes
+        grey. row, column: Initial position of the cross.
     """
     from ipyevents import Event
     from IPython.display import display
@@ -297,8 +297,8 @@ def draw_panorama(
     """Draw a panorama with its angles: θ to the right, φ down, in degrees.
 
     Args:
-        picture (array, shape (H, W) or (H, W, 3)): Gray values, colours from 0 to 255, or anything
-            `imshow` takes; NaN is gray.
+        picture (array, shape (H, W) or (H, W, 3)): Grey values, colours from 0 to 255, or anything
+            `imshow` takes; NaN is grey.
         imshow: Further arguments of Matplotlib's imshow.
     """
     picture = np.asarray(picture)
