@@ -97,12 +97,6 @@ def a_thousand_coefficients(data: Path) -> None:
     second(data, {"poly": [1000, -100] + [0] * 999})
 
 
-def two_pictures_swapped(data: Path) -> None:
-    one, other = first(data, 1).read_bytes(), first(data, 2).read_bytes()
-    first(data, 1).write_bytes(other)
-    first(data, 2).write_bytes(one)
-
-
 def two_frames(data: Path) -> None:
     for camera in (1, 2, 3, 4):
         shutil.copy(first(data, camera), data / f"cam{camera}" / "0002.png")

@@ -15,7 +15,6 @@ import omnistereo_lib as osl
 from omnistereo_tools import cli
 
 COMMANDS = yaml.safe_load(Path(bad_inputs.__file__).with_suffix(".yaml").read_text("utf-8"))
-SWAPPED = {"add": "--min-depth 0.01 --phi -0.8 0.8", "by": "two_pictures_swapped"}
 ROWS = [
     pytest.param(command, row, id=f"{command.split()[0]}: {wrong}")
     for command, rows in COMMANDS.items()
@@ -79,13 +78,12 @@ def test_a_command_is_answered_in_one_line(command, row, data, capsys):
 @pytest.mark.usefixtures("small")
 def test_what_computes_but_can_mean_nothing_is_doubted(data, capsys):
     depth = next(command for command in COMMANDS if command.startswith("depth"))
-    assert run(depth, SWAPPED, data)[0] == 0
+    assert run(depth, {"add": "--min-depth 0.01 --phi -0.8 0.8"}, data)[0] == 0
     said = capsys.readouterr().err
     assert re.search(
         r"warning: the cameras are .* the spheres begin at 0.01 m, inside the rig", said
     )
     assert "--phi -0.8 0.8 are degrees, a strip of 1.6°: no radians" in said
-    assert re.search(r"warning: the images look swapped \(give them in the order 2 1 3 4\)", said)
 
 
 @pytest.mark.parametrize("bomb", bad_inputs.BOMBS)

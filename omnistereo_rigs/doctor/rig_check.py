@@ -81,6 +81,7 @@ class RigCheck:
         None  #: if this rig is wrong and the images show the right one: that, in their order
     )
     measured: MeasuredRig | None = None
+    order: tuple[int, ...] = ()  #: in which the images are to be given, if only that is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,7 @@ class _Hypothesis:
     cameras: tuple[int, ...] = ()
     text: str = ""
     scale: float = 1.0  # of focal lengths
+    order: tuple[int, ...] = ()
 
     @property
     def worth(self) -> float:
@@ -197,7 +199,13 @@ def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
             )
         )
         yield _Hypothesis(
-            one.cause, one.score, 0.04 * one.parts, fixed or rig, tuple(changed), one.name
+            one.cause,
+            one.score,
+            0.04 * one.parts,
+            fixed or rig,
+            tuple(changed),
+            one.name,
+            order=() if fixed is None else tuple(np.argsort(one.order).tolist()),
         )
     pairs = evidence.relative_poses()
     if len(pairs) >= len(rig) - 1 and not _lost(rig, pairs):
@@ -246,7 +254,7 @@ def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
     if found.text:
         # Only poses and the order are put right by a rig file; a picture has to be rotated back.
         fixed = None if found.rig is rig else found.rig
-        return RigCheck(False, found.text, found.cause, found.cameras, fixed)
+        return RigCheck(False, found.text, found.cause, found.cameras, fixed, order=found.order)
     if found.cause == "nothing wrong":
         if (odd := _odd(evidence, rig, found)) is not None:
             return odd

@@ -22,6 +22,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
     SAMPLE,
     DepthRange,
+    DoctorOptions,
     FrameOptions,
     GridOptions,
     MethodOptions,
@@ -132,15 +133,10 @@ def run(options: DepthOptions) -> int:
     written += result.export(options.mesh, options.equirectangular, options.crops, options.las)
     print(*result.sentences(), coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
-    print(out / "index.html" if result.fits else rig_doctor(options))
+    shown = {"images": tuple(frame.image_paths)} if options.frame else {}
+    doctor = as_typed("doctor", DoctorOptions, options, rig=options.rig or SAMPLE, **shown)
+    print(out / "index.html" if result.fits else doctor)
     return int(options.strict and not result.fits)
-
-
-def rig_doctor(options: FrameOptions) -> str:
-    """Return the command that says what is wrong with the rig and the images."""
-    from omnistereo_tools.commands.options import DoctorOptions
-
-    return as_typed("doctor", DoctorOptions, options, rig=options.rig or SAMPLE)
 
 
 def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:

@@ -63,7 +63,10 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     low, high = rig.baselines.min(), rig.baselines.max()
     print(found.verdict)
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
-    print(*found.details, *coverage.sentences(grid.min_depth), coverage.left_out(grid), sep="\n")
+    print(*found.details, sep="\n", end="\n" * bool(found.details))
+    # What a right rig can do is not said of a wrong one.
+    if not found.verdict.startswith("Bad"):
+        print(*coverage.sentences(grid.min_depth), coverage.left_out(grid), sep="\n")
     chosen = f"{grid.width}x{grid.height}x{grid.num_spheres}"
     if frame and not found.status:
         more = {"grid": chosen, "phi": grid.phi_deg, "min_depth": grid.min_depth}
@@ -94,12 +97,12 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_file import save_rig
     from omnistereo_rigs.doctor.rig_check import check_rig
-    from omnistereo_tools.judge.first_look import matching_cost, same_pictures
+    from omnistereo_tools.judge.first_look import matching_cost, picture_doubt
     from omnistereo_tools.progress import progress_bar, say
 
     rig, images = frame.rig, frame.images
-    if same := same_pictures(images):
-        return _Found(f"Bad: {same}.", 1, next="Then run the same command again.")
+    if doubt := picture_doubt(images):
+        return _Found(f"Bad: {doubt}.", 1, next="Then run the same command again.")
     stated = rig.min_depth if options.min_depth is None else options.min_depth
     say("measuring the poses from the images takes about 15 s")
     check = check_rig(rig, images, stated, progress_bar())
@@ -114,7 +117,11 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
             " between the cameras, or pass --min-depth."
         )
     go_on = None if check.fits else "Put that right, then run the same command again."
-    if check.fixed is not None and options.write is None:
+    if check.order and options.images and options.write is None:
+        # Where the images are at fault, a rig file for their order would make that permanent.
+        ordered = tuple(options.images[k] for k in check.order)
+        go_on = as_typed("depth", DepthOptions, options, images=ordered)
+    elif check.fixed is not None and not check.order and options.write is None:
         go_on = as_typed("doctor", DoctorOptions, options, write=Path("fixed.yaml"))
     elif check.fixed is not None and options.write is not None:
         save_rig(check.fixed, options.write)

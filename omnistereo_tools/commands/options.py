@@ -205,15 +205,6 @@ def read_frame(options: FrameOptions, number: int = 0) -> Frame:
 
     Raises an `OmnistereoError` if files are missing or broken.
     """
-    frame = _frame_of(options, number)
-    from omnistereo_tools.input.masks import black_cameras
-
-    told = black_cameras(frame.images)
-    warn_of([told] if told else [])
-    return frame
-
-
-def _frame_of(options: FrameOptions, number: int) -> Frame:
     from omnistereo_lib.dataset import load_dataset
     from omnistereo_lib.files import unpack
     from omnistereo_lib.frame import Frame, load_images

@@ -60,7 +60,9 @@ def with_masks(rig: Rig, images: Sequence[Path]) -> Rig:
 def black_cameras(images: Sequence[NDArray[Any]]) -> str | None:
     """Return in words which cameras of a frame show nothing, if any; every 16th pixel is read."""
     found = [k for k, image in enumerate(images, 1) if np.quantile(image[::4, ::4], 0.99) < DARK]
-    return f"camera {' and '.join(map(str, found))} shows black" if found else None
+    many = len(found) > 1
+    said = f"camera{'s' * many} {' and '.join(map(str, found))} show{'s' * (not many)} black"
+    return said if found else None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.zncc import ZNCC
+from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.judge.coverage import Coverage
 
 _TOGETHER = 1e-3  # m
@@ -68,8 +69,10 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
         )
 
 
-def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
-    """Return which images are identical, if any; one that two cameras share is right."""
+def picture_doubt(images: Sequence[NDArray[Any]]) -> str | None:
+    """Return which images are black or, if none, identical; one that two cameras share is right."""
+    if black := black_cameras(images):
+        return f"{black}. Check lens caps and paths"
     same = [
         f"{i} and {j}"
         for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
@@ -102,16 +105,25 @@ def lowest_costs(frame: Frame, grid: SphereGrid) -> NDArray[np.float32]:
 
 
 def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
-    """Yield what cannot be right with the images of a frame, after one coarse cost volume."""
-    if same := same_pictures(frame.images):
-        yield same
+    """Yield what cannot be right with the images of a frame, after coarse cost volumes."""
+    if doubt := picture_doubt(frame.images):
+        yield doubt
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
-    if matching_cost(frame, coarse) > _MATCHES:
+    cost = matching_cost(frame, coarse)
+    # Images that are all moved on fit a ring of cameras nearly as well as in their order.
+    if cost > _MATCHES or any(matching_cost(other, coarse) < cost for other in _moved_on(frame)):
         from omnistereo_rigs.doctor.rig_check import find_mixup
 
         if found := find_mixup(frame):
             yield found
+
+
+def _moved_on(frame: Frame) -> Iterator[Frame]:
+    """Yield the frame with its images moved on by one camera, by two, …, if they are of a size."""
+    if len({camera.image_size for camera in frame.rig.cameras}) == 1:
+        for k in range(1, len(frame.images)):
+            yield Frame.of(frame.rig, [*frame.images[k:], *frame.images[:k]])
 
 
 def propose_min_depth(frame: Frame) -> float:

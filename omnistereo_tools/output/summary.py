@@ -49,7 +49,7 @@ def verdict(
 ) -> str:
     """Return the verdict on a depth, with the number that carries it, or with what is wrong."""
     if doubt:
-        return f"Bad: the rig and the images do not fit: {doubt}."
+        return f"Bad: {doubt}."
     number = f"{doubtful_percent:.0f} % of rays are doubtful{of_what}"
     if not fits(doubtful_percent):
         coarse = f"{columns} columns are too few, or " if columns < _COARSE else ""

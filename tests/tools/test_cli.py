@@ -152,7 +152,34 @@ def test_a_rig_in_a_wrong_unit_is_the_verdict(data, tmp_path, capsys, scene_imag
     osl.save_rig(osl.Rig(rig.cameras, poses, 100.0), data / "config.yaml")
     assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out", "--strict") == 1
     said = capsys.readouterr().out.splitlines()[0]
-    assert re.search(r"^Bad: .*: the cameras are up to \d+ m apart. Check the unit .*--unit", said)
+    assert re.search(r"^Bad: the cameras are up to \d+ m apart. Check the unit .*--unit", said)
+
+
+def test_a_black_image_is_the_verdict(data, tmp_path, capsys):
+    """Not that its camera is late."""
+    write_image(data / "cam3" / "0001.png", np.zeros((192, 200)))
+    for command in ("depth", "--out", tmp_path / "out", *SMALL), ("doctor",):
+        run(command[0], *with_images(data), *command[1:])
+        said = capsys.readouterr()
+        assert said.out.startswith("Bad: camera 3 shows black. Check lens caps and paths.\n")
+        assert "late" not in said.err and said.err.count("shows black") <= 1
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2, 3), (3, 0, 1, 2)], ids=["swapped", "moved on"])
+def test_images_in_another_order_are_put_right_by_the_command_that_doctor_prints(
+    data, tmp_path, capsys, order
+):
+    """Which writes no rig for the wrong order, that would stay."""
+    given = with_images(data)
+    right, given[3:] = given[3:], [given[3 + k] for k in order]
+    assert run("depth", *given, *SMALL, "--out", tmp_path / "out") == 0
+    name = "Bad: the images look swapped (give them in the order "
+    assert capsys.readouterr().out.startswith(name)
+    assert run("doctor", *given) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(name) and "off by one pixel" not in "".join(said)
+    expected = ["omnistereo", "depth", *given[:3], *right]
+    assert shlex.split(said[-1]) == list(map(str, expected))
 
 
 def test_doctor_of_a_wrong_rig(data, capsys, scene_images):
