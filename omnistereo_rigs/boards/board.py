@@ -39,6 +39,10 @@ class Board(ABC):
     def find_corners(self, gray: Gray) -> Floats | None:
         """Return the corners, (K, 2) px as `points`, NaN where not visible; None: no board."""
 
+    def another(self, grays: Sequence[Gray]) -> str | None:
+        """Return at a glance what other board the images show, if they show that, not this one."""
+        return None
+
     def advice(self, grays: Sequence[Gray]) -> str:
         """Return what to do if none of the images shows the board."""
         return "Check columns, rows and dictionary, and that the images are sharp and evenly lit"

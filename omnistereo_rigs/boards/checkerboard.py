@@ -117,6 +117,13 @@ class Checkerboard(Board):
                     return corners
         return None
 
+    def another(self, grays: Sequence[Gray]) -> str | None:
+        """Return which board, of a row or a column more or less, half of the first images show."""
+        if any(_is_seen(gray, self) for gray in grays):
+            return None
+        size, count = suggest_board(grays, self, reach=1) or (self.corners, 0)
+        return _pass_it(size, count) if 1 < count >= min(len(grays), _SEARCHED) / 2 else None
+
     def advice(self, grays: Sequence[Gray]) -> str:
         """Return what to do if no image shows the board: the size to pass, if one near it fits."""
         suggestion = suggest_board(grays, self)
@@ -133,10 +140,14 @@ class Checkerboard(Board):
                 f"{searched} images, by chance or as a part of a larger one. Count the inner "
                 "corners of the board"
             )
-        return (
-            f"Pass {columns} x {rows} inner corners as board size: such a board is found in {count}"
-            " of the first images"
-        )
+        return _pass_it((columns, rows), count)
+
+
+def _pass_it(size: tuple[int, int], count: int) -> str:
+    return (
+        f"Pass {size[0]} x {size[1]} inner corners as board size: such a board is found in {count}"
+        " of the first images"
+    )
 
 
 def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
@@ -163,6 +174,11 @@ def _on_thresholds(gray: Gray, board: Checkerboard, offset: float) -> Iterator[F
             small, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, block, offset
         )
         yield _classic(black, board, scale, flags=0)
+
+
+def _is_seen(gray: Gray, board: Checkerboard) -> bool:
+    """Return whether the quickest detector finds the board."""
+    return any(corners is not None for corners in _on_thresholds(gray, board, offset=8))
 
 
 def _classic(
@@ -321,7 +337,10 @@ def _first_is_black(grid: Floats, gray: Gray) -> bool:
 
 
 def suggest_board(
-    images: Sequence[ArrayLike], board: Checkerboard, only_larger: bool = False
+    images: Sequence[ArrayLike],
+    board: Checkerboard,
+    only_larger: bool = False,
+    reach: int = _SIZE_SEARCH,
 ) -> tuple[tuple[int, int], int] | None:
     """Find the board that the images show: ((columns, rows), number of images), or None.
 
@@ -331,7 +350,7 @@ def suggest_board(
     """
     grays = [as_gray(image) for image in images[:_SEARCHED]]
     columns, rows = max(board.corners), min(board.corners)
-    near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
+    near = range(0 if only_larger else -reach, reach + 1)
     sizes = {
         (max(c, r), min(c, r))
         for c in (columns + d for d in near)
@@ -341,7 +360,7 @@ def suggest_board(
     for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
         if min(size) < 3 or (only_larger and size == (columns, rows)):
             continue
-        fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
+        fits = sum(_is_seen(gray, Checkerboard(size, 1.0)) for gray in grays)
         if fits > (best[1] if best else 0):
             best = size, fits
         if 2 * fits >= len(grays):

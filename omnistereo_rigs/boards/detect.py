@@ -53,6 +53,9 @@ def detect_views(
             f"views {a} and {b} have different image sizes, {first} and {second} px; expected one"
             " size per camera. Pass the images as captured: not cropped, resized or rotated"
         )
+    none = f"no board {board} found in {len(grays)} images. "
+    if another := board.another([*grays.values()]):
+        raise OmnistereoError(none + another)
     found: dict[int, Floats | None] = {}
     step = counted(progress, len(grays))
     # One image per thread; the results come in the order of the images.
@@ -64,7 +67,5 @@ def detect_views(
             found[k] = corners
     step("")
     if all(corners is None for corners in found.values()):
-        raise OmnistereoError(
-            f"no board {board} found in {len(grays)} images. {board.advice(list(grays.values()))}"
-        )
+        raise OmnistereoError(none + board.advice([*grays.values()]))
     return [found.get(k) for k in range(len(images))]

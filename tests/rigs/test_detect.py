@@ -293,6 +293,17 @@ def test_the_size_that_would_fit_is_said(picture, corners):
     assert suggest_board([picture], Checkerboard((13, 10), 0.06), only_larger=True) is None
 
 
+def test_squares_counted_for_corners_are_found_out_before_all_images_are_searched(
+    monkeypatch, picture
+):
+    """Each would take seconds."""
+    monkeypatch.setattr(Checkerboard, "find_corners", lambda *_: pytest.fail("searched"))
+    with refused(r"found in 3 images. Pass 12 x 10 inner corners .* found in 2 of the first"):
+        detect_views([np.full_like(picture, 128), picture, picture], Checkerboard((13, 11), 0.06))
+    with pytest.raises(pytest.fail.Exception):  # what may be the board is looked for
+        detect_views([picture, picture], BOARD)
+
+
 @pytest.mark.parametrize(
     ("count", "said"),
     [(2, "in 2 of the first 8 images, .* Count the"), (4, "^Pass 10 x 8 .* in 4")],
