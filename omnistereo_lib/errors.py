@@ -50,7 +50,10 @@ def check_number(value: Any, what: str, low: float, high: float, whole: bool = F
     valid = _is_number(value) and low <= value <= high
     if not valid or (whole and value != int(value)):
         kind = "an integer" if whole else "a number"
-        raise OmnistereoError(f"{what} is {shortened(value)}; expected {kind} of {low} to {high}")
+        # what has no natural least
+        small = 0 < low <= 1e-6 and _is_number(value) and value <= 0
+        span = "above 0" if small else f"of {low} to {high}"
+        raise OmnistereoError(f"{what} is {shortened(value)}; expected {kind} {span}")
     return int(value) if whole else float(value)
 
 

@@ -112,6 +112,8 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
     import yaml
 
     text = read_text(path, most)
+    if "\0" in text:
+        raise OmnistereoError(f"{path} is no text; expected JSON, XML or YAML. Check the path.")
     if Path(path).suffix == ".json":
         return parse_json(text, path)
     if Path(path).suffix == ".xml":

@@ -74,7 +74,8 @@ class SweepNet(PairNetwork):
         """Refuse panoramas with an odd side: conv1 halves them."""
         if H % 2 or W % 2:
             raise OmnistereoError(
-                f"panorama of {W} × {H} pixels; SweepNet halves it, so both sides must be even"
+                f"panorama of {W} × {H} pixels; SweepNet halves it, so both sides must be even:"
+                f" ask for {W + W % 2} × {H + H % 2}"
             )
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:

@@ -244,8 +244,8 @@ def _relative_pose(
     if len(captures) == 1 < len(board.symmetries):
         raise OmnistereoError(
             f"cameras {i + 1} and {j + 1} share one capture, and the board looks the same from "
-            "another end, so it does not show how they stand to each other. Hold the board between "
-            "them more often, in different places"
+            "another end, so it does not show how they stand to each other. Hold the board more "
+            "often where both see it, in different places"
         )
     # In capture k both cameras see one board, so T_j_i = T_j_board (T_i_board S)⁻¹ if the corners
     # of camera j are those of camera i in the symmetry S of the board.
@@ -429,13 +429,16 @@ def _rig_warnings(report: RigReport) -> Iterator[str]:
                 f" {error / usual:.0f} times that of the others ({usual:.2f} px). Check its images"
                 " for a second board, blur, and another focus or zoom"
             )
+    # of each camera: how many captures it shares with the one with which it shares most
+    most = [max(n for pair, n in report.shared.items() if i in pair) for i in range(len(own))]
+    if few := [i for i, count in enumerate(most) if count < _FEW_SHARED]:
+        cameras = ", ".join(str(i + 1) for i in few)
+        whose = f"cameras {cameras} share" if len(few) > 1 else f"camera {cameras} shares"
+        yield (
+            f"{whose} at most {max(most[i] for i in few)} captures with any other. Hold the board"
+            " more often where two cameras see it, in different places"
+        )
     for i, (camera, single) in enumerate(zip(report.joint, report.single_camera, strict=True)):
-        most = max((count for pair, count in report.shared.items() if i in pair), default=0)
-        if most < _FEW_SHARED:
-            yield (
-                f"camera {i + 1} shares only {most} captures with any other. Hold the board between"
-                " two cameras more often, in different places"
-            )
         # Only captures that two cameras see can show that the cameras moved against each other.
         others = [one.views_used for one in report.joint if one is not camera]
         common = [k for k in camera.views_used if any(k in views for views in others)]

@@ -174,11 +174,11 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     if next_places:
         print(f"Hold the board next, as report_*.png shows: {' | '.join(next_places)}.")
     print(f"written to {out}/: {', '.join(written)}")
-    print(
-        shlex.join(["omnistereo", "doctor", "--rig", str(out / "config.yaml")])
-        if len(views) > 1
-        else out / "report.txt"
-    )
+    if len(views) == 1:
+        print(out / "report.txt")
+    else:
+        print("To check the rig by one image of the scene per camera, taken at once, add --images.")
+        print(shlex.join(["omnistereo", "doctor", "--rig", str(out / "config.yaml")]))
 
 
 def read_board(name: str, square: float | None) -> Board:

@@ -142,13 +142,13 @@ def run(options: RecordOptions) -> int:
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
-    if not left:
-        say(f"all {total} frames are there already")
     if options.cluster is None:
         writer = replace(
             writer, method=Method.parse(say_recording(sweep, first[0], len(left), method))
         )
     _prepare(options, writer, rig)
+    if not left:
+        say(f"all {total} frames are there already")
     # Compute and write.
     progress = progress_bar("frame")
     watching = Watching(rig, sweep, options.follow, out)
@@ -246,7 +246,8 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
         say(said)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
-        say(f"{path} lacks {len(names)} frames that other cameras have; left out: {some}")
+        count = f"{len(names)} frame{'s' * (len(names) > 1)}"
+        say(f"{path} lacks {count} that other cameras have; left out: {some}")
     if not options.skip_bad:
         return recording
     say(f"reading {len(recording.frames)} frames: a few seconds for a hundred")

@@ -68,7 +68,9 @@ def _scene(scene: Path, boards: Path) -> tuple[Path, ...]:
     if not boards.is_dir() or not scene.is_dir():
         missing = next(folder for folder in (boards, scene) if not folder.is_dir())
         raise OmnistereoError(
-            f"{missing} is missing. `omnistereo start --help` says what lies in which folder"
+            f"{missing} is missing. Put images of the board into {boards}/cam1/, cam2/, …, by"
+            f" one name those of one moment, and one of the scene per camera into {scene}/:"
+            " cam1.jpg, cam2.jpg, …"
         )
     from omnistereo_lib.pictures import find_pictures
     from omnistereo_rigs.boards.captures import find_captures

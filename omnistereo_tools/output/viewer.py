@@ -57,8 +57,9 @@ def data_of(page: str) -> dict[str, Any]:
 
 def read_page(path: Path) -> dict[str, Any]:
     """Return `data_of` a file; an `OmnistereoError` says if it is no page of the viewer."""
+    text = read_text(path)
     try:
-        data = data_of(read_text(path))
+        data = data_of(text)
     except ValueError:
         data = {}
     if not {"steps", "perStep", "phi"} <= data.keys():

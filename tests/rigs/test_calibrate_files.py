@@ -200,7 +200,7 @@ def test_a_rig_from_corners_on_file(tmp_path, capsys, monkeypatch):
     assert cli.main(["calibrate", str(detected), *board, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert re.match(r"(Good|Fair: .+;)[: ]+the poses are known to 0\.\d+° and [\d.]+ mm\.\n", said)
-    assert said.endswith(f"omnistereo doctor --rig {out / 'config.yaml'}\n")
+    assert said.endswith(f"add --images.\nomnistereo doctor --rig {out / 'config.yaml'}\n")
     assert (out / "report.txt").read_text().startswith("rig: 2 cameras")
     assert len(osl.load_rig(out / "config.yaml", max_fov_deg=200)) == 2
     for i in (1, 2):

@@ -1,6 +1,7 @@
 """Calibration of rigs from corners, against poses that are known."""
 
 import re
+from dataclasses import replace
 
 import boards
 import numpy as np
@@ -12,6 +13,7 @@ from course.figures.uncertainty import standard_deviation
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_rigs import calibrate_rig
 from omnistereo_rigs.boards.bundle import BundleProblem, estimate_covariance
+from omnistereo_rigs.boards.joint import _rig_warnings
 from omnistereo_rigs.boards.params import Intrinsics, collect_observations
 
 GOOD_DEG, GOOD_M = 0.02, 0.5e-3  # what a rig of this size has to reach
@@ -83,6 +85,12 @@ def test_a_capture_whose_board_moved_is_named_and_changes_nothing(
     assert set(report.rejected) == {both} and "moved" in report.rejected[both]
     (angle, shift), (sigma_deg, sigma_m) = errors_of(rig)[1], report.pose_uncertainty()[1]
     assert angle < 3 * sigma_deg and shift < 3 * sigma_m
+
+
+def test_cameras_that_share_few_captures_are_named_in_one_warning(rigged):
+    shared = dict.fromkeys(rigged[1].shared, 4) | {(0, 1): 6}
+    (warning,) = _rig_warnings(replace(rigged[1], shared=shared))
+    assert warning.startswith("cameras 3, 4 share at most 4 captures with any other. Hold the")
 
 
 def test_cameras_that_share_no_capture(seen_by_four):

@@ -47,7 +47,7 @@ def test_options_become_the_words_of_another_command():
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"max_depth": -1.0}, "--max-depth is -1.0; expected a number of"),
+        ({"max_depth": -1.0}, "--max-depth is -1.0; expected a number above 0"),
         ({"mesh": Path("a.obj")}, "a.obj has the wrong suffix; expected .glb or .ply"),
         ({"images": (Path("1.png"),)}, "--images needs --rig"),
     ],

@@ -355,6 +355,7 @@ def test_another_recording_is_not_overwritten(recorded, done, capsys):
         "recording.json is of a recording with other settings: spheres: 16 there, 32 here; method:"
         " zncc there, " in said
     )
+    assert "already" not in said
 
 
 def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(
@@ -466,7 +467,7 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
         tmp_path / "out",
     ]
     assert run(*command, "--frames", "1::2") == 0
-    assert "3.mkv lacks 1 frames that other cameras have; left out: 5" in capsys.readouterr().err
+    assert "3.mkv lacks 1 frame that other cameras have; left out: 5" in capsys.readouterr().err
     data = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in data] == [1, 3]
     of_pictures = osl.load_dataset(done)[3]  # frame 4 of the pictures, which count from 1
