@@ -61,7 +61,7 @@ def run(options: BoardOptions) -> None:
     bottom = height - _MARGIN
     if width > _BAR + 2 * _MARGIN:
         axes.add_patch(_black((_MARGIN, bottom - 0.003), _BAR, 0.001))
-        text += ". The line above is 100 mm long if the print is to scale"
+        text += ". The line above is 100 mm long if the print is to scale."
     axes.text(_MARGIN, bottom + 0.004, text, fontsize=min(9, 9 * width / 0.25), va="center")
     save_figure(options.out, figure)
     print(

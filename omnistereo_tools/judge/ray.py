@@ -137,6 +137,14 @@ class Ray:
         first, last = [-1, *lower, len(self.agreement)][place : place + 2]
         return int(first) + 1, int(last) - 1
 
+    @property
+    def is_wide(self) -> bool:
+        """Whether the plateau is wide, or higher beyond the tolerance of the estimate."""
+        first, last = self.plateau
+        reach = np.abs(np.subtract(self.plateau, self.index)).max()
+        higher = (self.agreement[first : last + 1] > self.chosen).any()
+        return bool(higher or reach > WIDE * tolerance(self.index))
+
     @cached_property
     def rival(self) -> Mode | None:
         """The depth beside the plateau of the estimate at which the patches agree best."""
@@ -155,8 +163,7 @@ class Ray:
             return "flat"
         if not agrees and other < WEAK:
             return "unlike"
-        reach = np.abs(np.subtract(self.plateau, self.index)).max()
-        if agrees and reach > WIDE * tolerance(self.index):
+        if agrees and self.is_wide:
             return "wide"
         if agrees and other < CLEAR * self.chosen:
             return "agrees" if sure else "weak"
@@ -207,13 +214,16 @@ class Ray:
 SENTENCES = {
     "unseen": "Fewer than two cameras see this direction: no stereo can know its depth.",
     "flat": "There is no texture here: the depth comes from the rays beside it.",
-    "agrees": "{count} cameras agree at {depth}, clearly better than at any other depth.",
-    "weak": "{count} cameras agree best at {depth}, but it is not certain.",
+    "agrees": "{count} cameras agree around {depth}, clearly better than elsewhere.",
+    "weak": "{count} cameras agree best around {depth}, but it is not certain.",
     "wide": (
         "The cameras agree about as well anywhere from {nearer} to {farther}: {depth} comes from"
         " the rays beside it."
     ),
-    "decided": "Everything around it speaks for {depth}; the cameras also agree at {other}.",
+    "decided": (
+        "Everything around it speaks for {depth}; the cameras agree about as well, or better, at"
+        " {other}."
+    ),
     "either": "{count} cameras agree at {depth}, and about as well at {other}: it may be either.",
     "elsewhere": (
         "The cameras agree better at {other}, and the rays beside it speak for {depth}: doubtful."
@@ -223,7 +233,7 @@ SENTENCES = {
 NOTES = {
     "": "",
     "nearest": " It is unlikely to be nearer than {nearest}.",
-    "edge": " There is probably an edge: something beside it is at {other}.",
+    "edge": " Perhaps there is an edge, with something at {other} beside it.",
     "look-alike": " Nothing around it is at {other}, so {depth} is likelier.",
 }
 

@@ -111,7 +111,7 @@ def compose(
     strip = np.full((_STRIP_PX, FILM[0], 3), BACKGROUND, np.uint8)
     strip[4:18, half:] = cv2.resize(scale.bar(256), (half, 14), interpolation=cv2.INTER_LINEAR)
     for at, label in scale.ticks():
-        _write(strip, label, (half + int(np.clip(at * half - 16, 4, half - 52)), _STRIP_PX - 6))
+        _write(strip, label, (half + int(np.clip(at * half - 16, 4, half - 76)), _STRIP_PX - 6))
     _write(strip, note, (12, _STRIP_PX - 15))
     return np.vstack([view, np.hstack(pair), strip])
 

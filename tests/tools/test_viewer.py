@@ -477,7 +477,10 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
     assert page.inner_text("#sidesWords") == "Left of the line a <box>, right another"
     # an eighth of the own rays is wrong, and of the other's what is not far away
     off = page.inner_text("#facts")
-    assert off.startswith("Off by more than 1 %: a <box> 13 %, another ") and int(off[-4:-2]) > 80
+    assert (
+        off.startswith("Off by more than 1 % of the range swept: a <box> 13 %, another ")
+        and int(off[-4:-2]) > 80
+    )
     assert page.inner_text("#title") == "a <box> against another"
     for mode in ("points", "surfaces"):  # which show the own run alone
         page.click(f"label:has([value={mode}])")

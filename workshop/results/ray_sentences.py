@@ -6,8 +6,8 @@ right where nothing that it says is contradicted by its curve or by the exact de
 - unseen: fewer than two cameras see the exact point; flat: there is little texture there, too;
 - agrees, decided: the depth is right;
 - unlike: what is said of the curve is true by how it is found, so what is looked up is the bound
-  that stands below it; either, elsewhere: that, or the other depth that is named is right;
-- weak: it is not nearer than is said; wide: it is within the depths that are named;
+  that stands below it; either, elsewhere, wide: that, or another depth that is named is right;
+- weak: it is not nearer than is said;
 - notes: the other depth is, or is not, among the exact depths around.
 """
 
@@ -96,8 +96,8 @@ def is_right(one: Ray, exact: Ray, right: bool, within: bool) -> bool:
     if one.kind == "unseen":
         return bool(exact.sees.sum() < 2)
     if one.kind == "wide":
-        first, last = one.plateau
-        return bool(abs(exact.index - np.clip(exact.index, first, last)) <= tolerance(exact.index))
+        beside = abs(exact.index - np.clip(exact.index, *one.plateau))
+        return within or bool(beside <= tolerance(exact.index))
     if one.kind == "flat":
         return exact.contrast < 2 * FLAT
     if one.kind in ("agrees", "decided"):

@@ -226,13 +226,15 @@ function drawPatch(camera, i, inverseDepth) {
   const side = 44, { canvas: box, caption } = patches[i], context = box.getContext("2d");
   box.width = box.height = side;
   const image = context.createImageData(side, side);
+  let shown = false;
   squareOf(why.ray, side).forEach((point, at) => {
     const place = project(camera, point, inverseDepth);
     const color = [0, 1, 2].map(c => place ? sampleOf(camera, place, (data, k) => data[k + c]) : NaN);
     image.data.set(Number.isNaN(color[0]) ? [0, 0, 0, 0] : [...color, 255], 4 * at);
+    shown ||= !Number.isNaN(color[0]);
   });
   context.putImageData(image, 0, 0);
-  caption.textContent = why.hidden[i] ? "hidden there" : why.sees[i] ? `camera ${i + 1}` : "not in view";
+  caption.textContent = why.hidden[i] ? "hidden there" : shown ? `camera ${i + 1}` : "not in view";
 }
 
 // The image of a camera with the curve on which the match lies, and a cross at the depth of the slider.
@@ -383,7 +385,7 @@ async function showBeside(run) {
   renderer.showOther(other);
   const names = [D, run].map(nameOf), both = `Left of the line ${names[0]}, right ${names[1]}`;
   $("title").textContent = names.join(" against ");
-  $("facts").textContent = truth ? `Off by more than 1 %: ${names.map((name, i) => `${name} ${offPercent(i ? k => other.inverse[k] : inverse)} %`).join(", ")}` : "";
+  $("facts").textContent = truth ? `Off by more than 1 % of the range swept: ${names.map((name, i) => `${name} ${offPercent(i ? k => other.inverse[k] : inverse)} %`).join(", ")}` : "";
   $("sides").hidden = false;
   showSides = () => { $("sidesWords").textContent = outside() ? `${names[0]}; ${names[1]} has no points or surfaces here` : both; };
   $("layer").append(new Option("difference", "apart"));

@@ -157,7 +157,8 @@ function kindOf({ agreement, index, sees, contrast, chosen, plateau, rival, like
   if (agreement.every(Number.isNaN)) return "unseen";
   if (sees.some(Boolean) && contrast < R.flat) return "flat";
   if (!peak && !(other >= R.weak)) return "unlike";
-  if (peak && plateau.some(n => Math.abs(n - index) > R.wide * toleranceOf(index))) return "wide";
+  const [first, last] = plateau, higher = agreement.slice(first, last + 1).some(value => value > chosen);
+  if (peak && (higher || plateau.some(n => Math.abs(n - index) > R.wide * toleranceOf(index)))) return "wide";
   if (peak && other < R.clear * chosen) return sure ? "agrees" : "weak";
   if (sure) return "decided";
   return peak && R.clear * other <= chosen ? "either" : "elsewhere";
