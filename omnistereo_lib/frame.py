@@ -192,7 +192,7 @@ def _within_range(image: NDArray[Any], name: str) -> NDArray[np.float32]:
         single = np.asarray(image, np.float32)
     if not np.isfinite(single).all():
         raise OmnistereoError(
-            f"{name} has NaN or infinite values, or too large for float32; expected finite gray "
+            f"{name} has NaN or infinite values, or too large for float32; expected finite grey "
             "values"
         )
     # The range without the most extreme pixels, whose three colours may all be.
@@ -313,7 +313,7 @@ def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
     steps = read_pixels(path)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         found = f"{steps.dtype} of shape {steps.shape}"
-        raise OmnistereoError(f"{path} holds {found}; expected 16-bit gray steps of inverse depth")
+        raise OmnistereoError(f"{path} holds {found}; expected 16-bit grey steps of inverse depth")
     if min_depth is None:
         raise OmnistereoError(
             f"{path} is in units of 1/min_depth. State the nearest depth in the rig file."

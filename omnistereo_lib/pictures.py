@@ -26,7 +26,7 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
 # modes, as Pillow calls them
 _NOT_READ = {mode: f"{mode} colours" for mode in ("CMYK", "LAB", "YCbCr", "HSV")}
 _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
-_EXPECTED = "expected gray or RGB values of 8 or 16 bits. Convert it."
+_EXPECTED = "expected grey or RGB values of 8 or 16 bits. Convert it."
 # All but those within a scan.
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
 # width, height, largest value

@@ -299,7 +299,7 @@ def test_png_counts_in_steps_of_the_nearest_depth(tmp_path):
 
 def test_ground_truth_of_another_kind(tmp_path):
     write_image(tmp_path / "a.png", np.zeros((4, 8), np.uint8))
-    with refused(r"uint8 of shape \(4, 8\); expected 16-bit gray"):
+    with refused(r"uint8 of shape \(4, 8\); expected 16-bit grey"):
         read_inverse_depth(tmp_path / "a.png", 0.5)
     tifffile.imwrite(tmp_path / "a.tiff", np.zeros((4, 8, 3), np.uint8), photometric="rgb")
     with refused("has 0 float pages; expected one"):

@@ -144,7 +144,7 @@ def test_a_largest_value_other_than_255_is_white(tmp_path):
 )
 def test_other_colour_spaces_are_refused_by_name(tmp_path, values, photometric, said):
     tifffile.imwrite(tmp_path / "a.tiff", values, photometric=photometric)
-    with refused(f"a.tiff holds {said}; expected gray or RGB values of 8 or 16 bits"):
+    with refused(f"a.tiff holds {said}; expected grey or RGB values of 8 or 16 bits"):
         read_image(tmp_path / "a.tiff")
 
 
