@@ -184,29 +184,15 @@ def _best(evidence: Evidence, rig: Rig) -> _Hypothesis:
 def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
     # Pictures first: mirrored, rotated, or in another order.
     for one in picture_mixups(evidence, rig)[:1]:
-        changed = [
-            k
-            for k, (place, flip) in enumerate(zip(one.order, one.flips, strict=True))
-            if place != k or flip.name
-        ]
-        fixed = (
-            None
-            if any(flip.name for flip in one.flips)
-            else Rig(
-                [rig.cameras[k] for k in one.order],
-                [rig.T_rig_cam[k] for k in one.order],
-                rig.min_depth,
-            )
-        )
-        yield _Hypothesis(
-            one.cause,
-            one.score,
-            0.04 * one.parts,
-            fixed or rig,
-            tuple(changed),
-            one.name,
-            order=() if fixed is None else tuple(np.argsort(one.order).tolist()),
-        )
+        moved = enumerate(zip(one.order, one.flips, strict=True))
+        changed = tuple(k for k, (place, flip) in moved if place != k or flip.name)
+        fixed, order = rig, tuple[int, ...]()
+        if not any(flip.name for flip in one.flips):
+            lenses, poses = [rig.cameras[k] for k in one.order], rig.T_rig_cam
+            fixed = Rig(lenses, [poses[k] for k in one.order], rig.min_depth)
+            order = tuple(np.argsort(one.order).tolist())
+        facts = one.cause, one.score, 0.04 * one.parts, fixed, changed, one.name
+        yield _Hypothesis(*facts, order=order)
     pairs = evidence.relative_poses()
     if len(pairs) >= len(rig) - 1 and not _lost(rig, pairs):
         given, found, _ = explain(rig, pairs)
@@ -219,17 +205,13 @@ def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
             )
             score = float(evidence.counts(fixed).sum() / 2)
             yield _Hypothesis("poses mixed up", score, 0.04 * found.parts + 0.03, fixed, (), said)
-    for freed in free_poses(evidence, rig, pairs)[:1]:
+    for freed in [*free_poses(evidence, rig, pairs)[:1], *free_focal_lengths(evidence, rig)[:1]]:
+        scale, cameras = freed.scale, freed.cameras
+        cause, penalty = ("turned or moved", _FREED) if scale == 1 else ("lens", _LENS)
+        # The right pose or focal length fits as well as those of the others.
         mine, others = fitted_share(evidence, freed.rig, freed.cameras)
-        if mine < _AS_WELL * others or freed.score < _FEW * len(rig):
-            continue
-        yield _Hypothesis("turned or moved", freed.score, _FREED, freed.rig, freed.cameras)
-    for freed in free_focal_lengths(evidence, rig)[:1]:
-        # The right focal length fits as well as the lenses of the others.
-        mine, others = fitted_share(evidence, freed.rig, freed.cameras)
-        if mine < _AS_WELL * others or freed.score < _FEW * len(rig):
-            continue
-        yield _Hypothesis("lens", freed.score, _LENS, freed.rig, freed.cameras, scale=freed.scale)
+        if mine >= _AS_WELL * others and freed.score >= _FEW * len(rig):
+            yield _Hypothesis(cause, freed.score, penalty, freed.rig, cameras, scale=scale)
 
 
 def _lost(rig: Rig, pairs: dict[Pair, RelativePose]) -> set[int]:
@@ -243,7 +225,7 @@ def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
         whose = (
             f"the lens of camera {k + 1} does not fit its image"
             if len(found.cameras) == 1
-            else ("the lenses do not fit the images")
+            else "the lenses do not fit the images"
         )
         way = "long" if percent > 0 else "short"
         text = (
@@ -351,10 +333,8 @@ def _compared(
     # Whom to accuse: a camera freed already, or those whose poses explain the differences. What is
     # too small to matter accuses nobody, and the matches themselves have to prefer the measured
     # rig.
-    turns, shifts = (
-        np.degrees(np.linalg.norm(differences[:, :3], axis=1)),
-        np.linalg.norm(differences[:, 3:], axis=1),
-    )
+    turns = np.degrees(np.linalg.norm(differences[:, :3], axis=1))
+    shifts = np.linalg.norm(differences[:, 3:], axis=1)
     size = mean_baseline(rig.centers)
     small = turns.max() < _LEAST_TURN_DEG and shifts.max() < _LEAST_SHIFT * size
     accused = tuple(freed) or (() if small else _accused(rig, measured, differences))
@@ -373,10 +353,8 @@ def _compared(
     radius = float(np.linalg.norm(rig.centers - rig.centers.mean(axis=0), axis=1).mean())
     for k, pose in _put_right(rig, measured.rig, accused).items():
         turn = (rig.T_rig_cam[k].inverse() @ pose).as_vector()[:3]
-        degrees, shift = (
-            float(np.degrees(np.linalg.norm(turn))),
-            float(np.linalg.norm(pose.t - rig.T_rig_cam[k].t)),
-        )
+        degrees = float(np.degrees(np.linalg.norm(turn)))
+        shift = float(np.linalg.norm(pose.t - rig.T_rig_cam[k].t))
         poses[k] = pose
         late |= shift > _LATE_SHARE * radius
         harmless &= (

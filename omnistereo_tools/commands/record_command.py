@@ -132,10 +132,8 @@ def run(options: RecordOptions) -> int:
     doubts = frame_doubts(frame, grid)
     warn_of(doubts)
     doubt = told or (doubts[0] if doubts else None)
-    sweep, method = (
-        SphereSweep(rig, grid, device=options.device),
-        options.method or stored_method(out),
-    )
+    sweep = SphereSweep(rig, grid, device=options.device)
+    method = options.method or stored_method(out)
     first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
     precision = kept_precision("auto", read_facts(out / SETTINGS))
     writer = DepthWriter(out, recording, sweep, first_method, with_video, precision)

@@ -90,19 +90,13 @@ def measure_circle(
     """
     lit = np.max([image if image.ndim == 2 else image.max(-1) for image in images], axis=0)
     scale = min(1.0, _SIDE / max(lit.shape))
-    lit = (
-        cv2.resize(lit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if scale < 1
-        else lit
-    )
+    if scale < 1:
+        lit = cv2.resize(lit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     black = float(np.quantile(lit, 0.01))
     if black > _BLACK:
         return None
-    threshold = (
-        black + _LIT * (float(np.median(lit[lit > black + 2])) - black)
-        if (lit > black + 2).any()
-        else 255
-    )
+    bright = lit[lit > black + 2]
+    threshold = black + _LIT * (float(np.median(bright)) - black) if bright.size else 255
     edge = _edge_points(lit > threshold, (np.array(center) + 0.5) * scale - 0.5)
     if len(edge) < _LEAST_SHARE * 360:
         return None
@@ -140,10 +134,8 @@ def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
         solution = np.linalg.lstsq(
             np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x * x + y * y, rcond=None
         )[0]
-        middle, radius = (
-            solution[:2],
-            float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0))),
-        )
+        middle = solution[:2]
+        radius = float(np.sqrt(max(solution[2] + middle @ middle, 0.0)))
         off = np.abs(np.linalg.norm(points - middle, axis=1) - radius)
         kept = off <= 3 * np.median(off) + 0.5
     return middle, radius
@@ -152,19 +144,15 @@ def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
 def seen_fov_deg(camera: OcamCamera, circle: ImageCircle) -> float:
     """Return the full field of view inside an image circle, degrees, at most the camera's."""
     azimuth = np.radians(np.arange(0, 360, 5))
-    edge = np.array(circle.center) + circle.radius * np.stack(
-        [np.cos(azimuth), np.sin(azimuth)], -1
-    )
+    outward = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    edge = np.array(circle.center) + circle.radius * outward
     width, height = camera.image_size
     inside = ((edge >= 0) & (edge <= (width - 1, height - 1))).all(-1)
     rays, valid = camera.unproject(edge)
     angle = np.degrees(np.arccos(rays[..., 2].clip(-1, 1)))
-    half = camera.max_fov_deg / 2
-    return (
-        2 * float(np.median(np.where(valid, angle, half)[inside]))
-        if inside.any()
-        else camera.max_fov_deg
-    )
+    if not inside.any():
+        return camera.max_fov_deg
+    return 2 * float(np.median(np.where(valid, angle, camera.max_fov_deg / 2)[inside]))
 
 
 def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tuple[Rig, str | None]:
@@ -176,15 +164,13 @@ def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tup
     """
     cameras, seen = list(rig.cameras), {}
     for k, camera in enumerate(rig.cameras):
-        circle = (
-            measure_circle([frame[k] for frame in images], camera.center)
-            if camera.mask is None
-            else None
-        )
-        if (
-            circle is not None
-            and (fov := seen_fov_deg(camera, circle)) < camera.max_fov_deg - 2 * _INSIDE_DEG
-        ):
+        if camera.mask is not None:
+            continue
+        circle = measure_circle([frame[k] for frame in images], camera.center)
+        if circle is None:
+            continue
+        fov = seen_fov_deg(camera, circle)
+        if fov < camera.max_fov_deg - 2 * _INSIDE_DEG:
             seen[k] = fov
             cameras[k] = replace(camera, mask=circle.mask(camera.image_size))
     if not seen:
@@ -194,11 +180,8 @@ def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tup
     numbers = ", ".join(str(k + 1) for k in seen)
     fields = f"{min(seen.values()):.0f}°"
     loss = "" if after == before else f": two cameras see {after} of the sphere, not {before}"
-    return (
-        masked,
-        (
-            f"the images of camera {numbers} are black beyond {fields} of the"
-            f" {rig.cameras[min(seen)].max_fov_deg:.0f}° stated{loss}. The image circle is taken as"
-            f" mask; `omnistereo rig --max-fov {np.floor(min(seen.values())):.0f}` states it"
-        ),
+    return masked, (
+        f"the images of camera {numbers} are black beyond {fields} of the"
+        f" {rig.cameras[min(seen)].max_fov_deg:.0f}° stated{loss}. The image circle is taken as"
+        f" mask; `omnistereo rig --max-fov {np.floor(min(seen.values())):.0f}` states it"
     )
