@@ -16,7 +16,7 @@ document.addEventListener("DOMContentLoaded", async () => {
     sizes.observe(box)
     box.addEventListener("scroll", () => mark(box), { passive: true })
   }
-  await Promise.all([window.MathJax?.startup?.promise, document.fonts.ready]) // both take their room late
+  await window.MathJax?.startup?.promise // formulas take their room late
   boxes.forEach(mark)
 })
 
