@@ -10,7 +10,7 @@ from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.consumer_images import is_equirectangular
-from omnistereo_tools.judge.first_look import same_pictures
+from omnistereo_tools.judge.first_look import picture_doubt
 
 BACK = osl.Pose.from_vector([0, np.pi, 0, 0, 0, -0.03])
 
@@ -41,8 +41,8 @@ def test_one_image_that_both_cameras_describe(two, tmp_path):
         warnings.simplefilter("error")
         loaded = osl.load_rig(tmp_path / "rig.yaml")
     pictures = osl.load_images([tmp_path / "dual.png"], loaded)
-    assert len(pictures) == 2 and same_pictures(pictures) is None
-    assert same_pictures([pictures[0], pictures[0].copy()])
+    assert len(pictures) == 2 and picture_doubt(pictures) is None
+    assert picture_doubt([pictures[0], pictures[0].copy()])
 
 
 def test_other_single_images_are_refused(two, tmp_path):
