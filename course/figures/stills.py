@@ -31,7 +31,7 @@ LIVE = re.compile(r"^(interactive|pick_ray|explore)\(", re.MULTILINE)
 SHOWN = "In Jupyter this computes; here it shows stored pictures, one slider at a time."
 VIEW = "The points of a depth panorama, to rotate, tilt and zoom"
 _WIDTH = 900  # pixels
-_PLACES = {1: 13, 2: 5}  # number of sliders → stills of each
+_PLACES = {1: 7, 2: 5}  # number of sliders → stills of each
 
 
 # --- Record
@@ -55,7 +55,7 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
         for place, value in enumerate(values):
             if place != first or not shown:  # all sliders share the first still
                 still = _stack(draw(**start | {name: value}))
-                still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=40, method=6)
+                still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=36, method=6)
         entry = {"name": name, "values": values, "start": first}
         if names := {value: label for label, value in getattr(slider, "options", ())}:
             entry["labels"] = [names[value] for value in values]
