@@ -31,6 +31,8 @@ class Recipe:
     network: ClassVar[str]  # name of the network that the recipe is for
     # training sets of data_samples, unless others are given; "endless": see `EndlessWorlds`
     worlds: str = "sunny"
+    # endless frames with what is wrong with real rigs: see `draw_frame`
+    faults: bool = False
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive
     # field.

@@ -12,7 +12,8 @@ import signal
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, ClassVar
@@ -26,7 +27,7 @@ from omnistereo_learn.endless.caster import BOX, Tree, build_tree, inverse_dista
 from omnistereo_learn.endless.objects import log_uniform
 from omnistereo_learn.endless.scenes import SCENES
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Pose, rotation_from_axis_angle
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.lazy import lazy_property
@@ -37,7 +38,8 @@ _AHEAD = 6  # frames for each worker to draw while training steps run
 # frames, of which some come again: two steps share one, and a validation comes back to those before
 # it
 _KEPT = 64
-_PURPOSE = 11  # so that no other generator of a seed draws the same numbers
+# so that no other generator of a seed draws the same numbers: of the frames, of their faults
+_PURPOSE, _FAULTS = 11, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +69,18 @@ class Scene:
 
         `pose` takes camera coordinates to those of the scene.
         """
-        width, height = camera.image_size
-        visible = camera.visible_pixels()
-        rays, gray = np.zeros((height, width, 3)), np.full((height, width), np.nan, np.float32)
-        rays[visible], _ = camera.unproject(np.argwhere(visible)[:, ::-1])
-        pixel = np.radians(1 / camera.pixels_per_degree)
+        (rays, visible), pixel = _pixel_rays(camera), np.radians(1 / camera.pixels_per_degree)
+        gray = np.full(visible.shape, np.nan, np.float32)
         look(self.primitives, self._tree, self.light, pose.t, rays @ pose.R.T, visible, pixel, gray)
         return gray
+
+
+def _pixel_rays(camera: OcamCamera) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return unit rays (h, w, 3) of the pixels of a camera, 0 where unseen, and which are seen."""
+    visible = camera.visible_pixels()
+    rays = np.zeros((*visible.shape, 3))
+    rays[visible], _ = camera.unproject(np.argwhere(visible)[:, ::-1])
+    return rays, visible
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,28 +109,26 @@ class EndlessWorlds:
 
     Args:
         workers: Number of processes; default: the processors but one. 0: drawn when asked for.
+        faults: Of rigs and light; see `draw_frame`.
     """
 
-    def __init__(self, seed: int, workers: int | None = None) -> None:
-        self.seed = seed
+    def __init__(self, seed: int, workers: int | None = None, faults: bool = False) -> None:
+        self.seed, self.faults = seed, faults
         self._workers = max(1, (os.cpu_count() or 2) - 1) if workers is None else workers
         self._drawn: dict[int, Any] = {}  # frames, or futures of frames
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the seed and the number of processes: another process draws its frames itself."""
-        return {"seed": self.seed, "_workers": self._workers, "_drawn": {}}
+        kept = {"seed": self.seed, "faults": self.faults, "_workers": self._workers}
+        return kept | {"_drawn": {}}
 
     def frame(self, number: int) -> EndlessFrame:
         """Return a frame; the ones that follow are drawn meanwhile."""
         ahead = _AHEAD * self._workers
         for n in range(number, number + 1 + ahead):
             if n not in self._drawn:
-                one = (
-                    self._pool.submit(draw_frame, self.seed, n)
-                    if self._workers
-                    else draw_frame(self.seed, n)
-                )
-                self._drawn[n] = one
+                draw = partial(draw_frame, self.seed, n, faults=self.faults)
+                self._drawn[n] = self._pool.submit(draw) if self._workers else draw()
         drawn = self._drawn[number]
         for n in list(self._drawn)[: -_KEPT - ahead]:
             del self._drawn[n]
@@ -149,8 +154,12 @@ def _prepare_worker() -> None:
     Thread(target=end_with, args=[parent_process()], daemon=True).start()
 
 
-def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
-    """Draw a frame; images are about 300 to 400 pixels wide, times `size`."""
+def draw_frame(seed: int, number: int, size: float = 1.0, faults: bool = False) -> EndlessFrame:
+    """Draw a frame; images are about 300 to 400 pixels wide, times `size`.
+
+    With `faults` the same rig may turn while its shutters are open, sun or lamp dazzle its cameras,
+    and its file is a little off: `turned`, `with_glare`, `misstated`.
+    """
     rng = np.random.default_rng([seed, _PURPOSE, number])
     builder, light, radius = SCENES[rng.integers(len(SCENES))](rng)
     rig = draw_rig(rng, radius, size)
@@ -162,7 +171,58 @@ def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
     radiance = [
         scene.image(camera, pose) for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True)
     ]
-    return EndlessFrame(number, rig, develop(radiance, rig.cameras, rng), scene)
+    stated = rig
+    if faults:
+        chance = np.random.default_rng([seed, _FAULTS, number])
+        turn = chance.choice([0, 1]) * chance.normal(0, np.radians(0.7), 3)
+        veil = chance.choice([0, log_uniform(chance, 0.05, 1)])
+        radiance = [
+            with_glare(turned(gray, camera, pose.R.T @ turn), camera, pose, scene, veil)
+            for gray, camera, pose in zip(radiance, rig.cameras, rig.T_rig_cam, strict=True)
+        ]
+        stated = misstated(rig, chance)
+    return EndlessFrame(number, stated, develop(radiance, rig.cameras, rng), scene)
+
+
+def turned(
+    gray: NDArray[np.float32], camera: OcamCamera, turn: NDArray[Any]
+) -> NDArray[np.float32]:
+    """Return the mean radiance while a camera turns by an axis-angle vector of its own frame."""
+    rays, visible = _pixel_rays(camera)
+    still, moments = np.where(visible, gray, 0), []
+    # As many moments as pixels that it turns by, and one. What turns into view looks as the rim.
+    count = 1 + math.ceil(float(np.linalg.norm(np.degrees(turn))) * camera.pixels_per_degree)
+    for share in (np.arange(count) + 0.5) / count - 0.5:
+        uv, inside = camera.project(rays @ rotation_from_axis_angle(share * turn).T)
+        moved = cv2.remap(still, uv.astype(np.float32), None, cv2.INTER_LINEAR)
+        moments.append(np.where(inside, moved, gray))
+    return np.mean(moments, 0)
+
+
+def with_glare(
+    gray: NDArray[np.float32], camera: OcamCamera, pose: Pose, scene: Scene, strength: float
+) -> NDArray[np.float32]:
+    """Return radiance with a veil around the lamp or the sun, if nothing stands before it."""
+    light = scene.light
+    to_light = light["lamp_at"] - pose.t if light["lamp"] > 0 else 1e6 * light["to_sun"]
+    distance = float(np.linalg.norm(to_light))
+    free = scene.inverse_depth_along(to_light / distance, pose.t) < 0.95 / distance
+    (u, v), inside = camera.project(to_light @ pose.R)
+    if not (free and inside and light["lamp"] + light["sun"] > 0):
+        return gray
+    y, x = np.ogrid[: gray.shape[0], : gray.shape[1]]
+    away2 = ((x - u) ** 2 + (y - v) ** 2) / (0.15 * camera.max_radius) ** 2
+    return gray + np.float32(strength * np.nanmax(gray)) / (1 + away2).astype(np.float32)
+
+
+def misstated(rig: Rig, rng: Generator, degrees: float = 0.05, pixels: float = 0.3) -> Rig:
+    """Return a rig as a good calibration has it: orientations and centres of images off a bit."""
+    off = [Pose.from_vector([*rng.normal(0, np.radians(degrees), 3), 0, 0, 0]) for _ in rig.cameras]
+    cameras = [
+        replace(one, center=tuple(one.center + rng.normal(0, pixels, 2))) for one in rig.cameras
+    ]
+    poses = [pose @ error for pose, error in zip(rig.T_rig_cam, off, strict=True)]
+    return Rig(cameras, poses, rig.min_depth)
 
 
 def without_obstacles(primitives: NDArray[Any], rig: Rig, clearance: float) -> NDArray[Any]:

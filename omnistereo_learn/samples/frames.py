@@ -52,8 +52,8 @@ class TrainingFrames:
         folders = [world for world in worlds if str(world) != ENDLESS]
         # so many of so many micro-batches
         self._endless_of = len(worlds) - len(folders), len(worlds)
-        self.endless = EndlessWorlds(recipe.seed)
-        self.held_out = EndlessWorlds(_HELD_OUT, workers=0)
+        self.endless = EndlessWorlds(recipe.seed, faults=recipe.faults)
+        self.held_out = EndlessWorlds(_HELD_OUT, workers=0, faults=recipe.faults)
         digest = hashlib.sha256()
         for folder in folders:
             frames = [frame for frame in load_dataset(folder) if frame.gt_path is not None]

@@ -5,6 +5,7 @@ depth.
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -12,10 +13,21 @@ from tiny import SWEEPNET
 
 import omnistereo_lib as osl
 from omnistereo_learn.endless import worlds as endless
-from omnistereo_learn.endless.worlds import EndlessFrame, EndlessWorlds, draw_frame
+from omnistereo_learn.endless.caster import ELLIPSOID, LIGHT, PRIMITIVE
+from omnistereo_learn.endless.worlds import (
+    EndlessFrame,
+    EndlessWorlds,
+    Scene,
+    draw_frame,
+    misstated,
+    turned,
+    with_glare,
+)
 from omnistereo_learn.recipes import VolumeNetRecipe
 from omnistereo_learn.samples.spheres import SphereSamples
 from omnistereo_learn.samples.volumes import VolumeSamples
+from omnistereo_lib import reference
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo import correlation
 
 TINY = VolumeNetRecipe(
@@ -101,6 +113,85 @@ def _spread(rig, seen, points):
     return np.median(np.nanstd(np.array(values)[:, shared], 0))
 
 
+def test_faults_change_images_and_the_rig_file_alone(frames):
+    frame = draw_frame(7, 3, faults=True)
+    assert np.array_equal(frame.scene.primitives, frames[3].scene.primitives)
+    assert frame.rig.min_depth == frames[3].rig.min_depth
+    assert np.allclose(frame.rig.centers, frames[3].rig.centers)
+    assert not np.array_equal(frame.images[0], frames[3].images[0])
+    again = EndlessWorlds(7, workers=1, faults=True).frame(3)
+    assert all(np.array_equal(a, b) for a, b in zip(frame.images, again.images, strict=True))
+
+
+def test_the_images_show_by_how_much_a_rig_file_is_off(frames):
+    """Corners followed from the picture of the true camera to that of the stated one: the turn
+    between their directions, found by Kabsch's method, is the error of the orientation."""
+    for frame in (frames[1], frames[4]):
+        camera, true = frame.rig.cameras[0], frame.rig.T_rig_cam[0]
+        stated = misstated(frame.rig, np.random.default_rng(3), 1.0, 0.0).T_rig_cam[0]
+        pictures = [
+            (200 * np.nan_to_num(frame.scene.image(camera, pose)).clip(0, 1)).astype(np.uint8)
+            for pose in (true, stated)
+        ]
+        # Not at the rim, which does not move.
+        inner = cv2.erode(camera.visible_pixels().astype(np.uint8), np.ones((41, 41)))
+        corners = cv2.goodFeaturesToTrack(pictures[0], 200, 0.01, 8, mask=inner)
+        moved, found, _ = cv2.calcOpticalFlowPyrLK(*pictures, corners, None)
+        a, b = (camera.unproject(uv[found == 1])[0] for uv in (corners, moved))
+        for _ in range(5):  # each time without the tenth that fits least
+            U, _, Vt = np.linalg.svd(a.T @ b)
+            rest = np.linalg.norm(a @ U @ Vt - b, axis=1)
+            fits = rest <= np.quantile(rest, 0.9)
+            a, b = a[fits], b[fits]
+        off = stated.inverse() @ true
+        unexplained = Pose(U @ Vt, np.zeros(3)) @ off
+        assert np.linalg.norm(off.as_vector()[:3]) > np.radians(3)
+        assert np.linalg.norm(unexplained.as_vector()[:3]) < np.radians(0.1)
+
+
+def test_a_rig_file_is_off_by_twentieths_of_a_degree_and_thirds_of_a_pixel(frames):
+    rng, rig = np.random.default_rng(0), frames[0].rig
+    stated = [misstated(rig, rng) for _ in range(200)]
+    turns = [(one.T_rig_cam[0].inverse() @ rig.T_rig_cam[0]).as_vector()[:3] for one in stated]
+    shifts = [np.subtract(one.cameras[0].center, rig.cameras[0].center) for one in stated]
+    assert np.allclose(np.degrees(np.std(turns, axis=0)), 0.05, rtol=0.15)
+    assert np.allclose(np.std(shifts, axis=0), 0.3, rtol=0.15)
+
+
+def test_a_turn_about_the_axis_blurs_a_star_by_the_sinc(frames):
+    """The mean of cos 6α over a turn of ω is cos 6α times sin(3 ω) / (3 ω); a mean stays."""
+    camera, turn = replace(frames[0].rig.cameras[0], affine=(1, 0, 0)), np.radians(20)
+    height, width = camera.image_size[::-1]
+    y, x = np.mgrid[:height, :width].astype(float)
+    x, y = x - camera.center[0], y - camera.center[1]
+    ring = np.abs(np.hypot(x, y) / camera.max_radius - 0.5) < 0.2
+    star = np.cos(6 * np.arctan2(y, x))
+    gray = np.where(camera.visible_pixels(), 2 + star, np.nan).astype(np.float32)
+    blurred = turned(gray, camera, np.array([0, 0, turn]))
+    assert np.array_equal(np.isnan(blurred), np.isnan(gray))
+    assert blurred[ring].mean() == pytest.approx(gray[ring].mean(), abs=1e-3)
+    strength = np.mean((blurred[ring] - 2) * star[ring]) / np.mean(star[ring] ** 2)
+    assert strength == pytest.approx(np.sin(3 * turn) / (3 * turn), abs=0.01)
+
+
+def test_glare_is_where_the_sun_is_unless_something_hides_it():
+    light, ball = np.zeros(1, LIGHT)[0], np.zeros(1, PRIMITIVE)
+    light["sun"], light["to_sun"] = 1, (0.6, 0, 0.8)
+    ball["shape"], ball["half"], ball["rotation"], ball["roundness"] = ELLIPSOID, 0.5, np.eye(3), 1
+    rig = osl.load_rig("data_samples/sunny/test")
+    camera, pose = rig.cameras[0], Pose.from_vector([0.1, 0.2, 0, 0, 0, 0])
+    gray = np.where(camera.visible_pixels(), 1, np.nan).astype(np.float32)
+    for centre, dazzled in (((0, 5, 0), True), ((3, 0, 4), False)):
+        ball["center"] = centre
+        veil = with_glare(gray, camera, pose, Scene(ball, light), 0.5) - 1
+        assert (np.nanmax(veil) > 0) == dazzled
+        if dazzled:
+            uv = reference.project(torch.tensor(pose.R.T @ light["to_sun"]), camera)
+            brightest = np.unravel_index(np.nanargmax(veil), veil.shape)
+            assert np.abs(uv.numpy() - brightest[::-1]).max() <= 0.5
+            assert np.nanmax(veil) == pytest.approx(0.5, abs=1e-3)
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
     """Endless frames without pictures, which would take a second each; their seed lies where the
@@ -109,7 +200,7 @@ def undrawn(monkeypatch):
         "omnistereo_learn.samples.frames.EndlessWorlds", partial(EndlessWorlds, workers=0)
     )
     monkeypatch.setattr(
-        endless, "draw_frame", lambda seed, number: EndlessFrame(number, seed, [], None)
+        endless, "draw_frame", lambda seed, number, **_: EndlessFrame(number, seed, [], None)
     )
 
 
