@@ -29,7 +29,8 @@ def test_slides_show_what_they_name_and_ask_for_every_function(shown, path):
     nb, number = nbformat.read(path, as_version=4), nbtools.number(path)
     written = yaml.safe_load((slides.WRITTEN / f"{number}.yaml").read_text("utf-8"))
     for slide in written:
-        assert {*slide} <= {"idea", "say", "figure", "formula", "function"}, slide["idea"]
+        keys = {"idea", "say", "figure", "rows", "columns", "formula", "function"}
+        assert {*slide} <= keys, slide["idea"]
         assert len(slide["say"]) <= 240, slide["idea"]
     page = Page(shown / f"{path.stem}.slides.html")
     # one more on the title slide
@@ -61,21 +62,23 @@ def test_the_first_page_leads_to_all_slides(shown):
 WRONG = """() => {
     const found = [], { width, height } = Reveal.getConfig(), scale = Reveal.getScale()
     for (const slide of Reveal.getSlides()) {
-        const { h, v } = Reveal.getIndices(slide)
-        Reveal.slide(h, v)
+        const { h } = Reveal.getIndices(slide)
+        Reveal.slide(h)
         const { left, top } = document.querySelector(".slides").getBoundingClientRect()
-        const note = (what) => found.push(`slide ${h}/${v}: ${what}`)
+        const note = (what) => found.push(`slide ${h}: ${what}`)
         for (const e of slide.querySelectorAll("*")) {
             const box = e.getBoundingClientRect(), style = getComputedStyle(e)
-            if (!box.width || !box.height || e.matches("pre *, [style*=overflow] *")) continue
+            // what is wider than a telephone moves below a finger
+            const moves = "pre *, svg, svg *, mjx-assistive-mml, mjx-assistive-mml *, [style*=overflow] *, .phone :is(.picture, pre) *"
+            if (!box.width || !box.height || e.matches(moves)) continue
             const [right, bottom] = [box.right - left, box.bottom - top].map(
                 px => Math.floor(px / scale))
             if (right > width || bottom > height) note(`${e.className} ends at ${right}, ${bottom}`)
-            if (style.overflowX !== "visible" && e.scrollWidth > e.clientWidth + 1)
+            if (!["visible", "auto"].includes(style.overflowX) && e.scrollWidth > e.clientWidth + 1)
                 note(`${e.className} is cut off`)
             if (e.localName === "pre" && parseFloat(style.fontSize) < 24)
                 note(`code of ${style.fontSize}`)
-            if (e.localName === "img" && box.height / scale < 100)
+            if (e.matches(".picture > *") && box.height / scale < 100)
                 note(`a picture ${box.height / scale} px high`)
         }
     }
@@ -91,13 +94,54 @@ def test_no_slide_overflows(shown, open_page, path):
     assert page.evaluate("Reveal.getTotalSlides()") <= 32
     bare = "slide => [...slide.children].every(piece => piece.matches('.fragment'))"
     assert page.evaluate(f"Reveal.getSlides().filter({bare}).length") == 0
+    small = [size for size in page.evaluate(LABELS) if size < 14]
+    # eight pictures of 225 that do not come apart, and title slides; none is below 10
+    assert len(small) <= 2 and all(size > 10 for size in small), small
 
 
-def opened(shown, open_page, stem):
-    page = open_page(1280, 800)
+# Of every picture, the px on the screen of the 10 pt in which Matplotlib labels axes.
+LABELS = """() => Reveal.getSlides().flatMap(slide => {
+    Reveal.slide(Reveal.getIndices(slide).h)
+    return [...slide.querySelectorAll(".picture > :is(img, svg)")].map(shown => {
+        const of = (side) => +shown.getAttribute(side) || shown.viewBox.baseVal[side]
+        const box = shown.getBoundingClientRect()
+        const label = +shown.parentElement.dataset.label
+        return label * Math.min(box.width / of("width"), box.height / of("height"))
+    })
+})"""
+
+
+def opened(shown, open_page, stem, size=(1366, 768)):
+    page = open_page(*size)
     page.goto((shown / f"{stem}.slides.html").as_uri())
     page.wait_for_function("window.Reveal && Reveal.isReady()")
     return page
+
+
+# figures in columns, and code wider than a telephone
+@pytest.mark.parametrize("stem", ["02_rig_calibration", "15_gallery"])
+def test_slides_fit_a_telephone(shown, open_page, stem):
+    page = opened(shown, open_page, stem, (390, 844))
+    assert page.evaluate("document.querySelector('meta[name=viewport]').content") == (
+        "width=device-width, initial-scale=1"
+    )
+    assert page.evaluate(WRONG) == []
+    assert min(page.evaluate(LABELS)) > 6.9
+    # a picture that is wider moves to its end before the next slide comes
+    wide = "slide => { const p = slide.querySelector('.picture')"
+    wide += "; return p && p.scrollWidth > p.clientWidth + 1 }"
+    page.evaluate(f"Reveal.slide(Reveal.getSlides().findIndex({wide}))")
+    at = page.evaluate("Reveal.getIndices().h")
+    swipe = """end => {
+        const box = document.querySelector(".present .picture")
+        box.scrollLeft = end ? box.scrollWidth : 0
+        const touch = (clientX) => new Touch({ identifier: 1, target: box, clientX })
+        for (const [kind, list, x] of [["start", "touches", 300], ["end", "changedTouches", 100]])
+            box.dispatchEvent(
+                new TouchEvent(`touch${kind}`, { [list]: [touch(x)], bubbles: true }))
+        return Reveal.getIndices().h
+    }"""
+    assert [page.evaluate(swipe, end) for end in (False, True)] == [at, at + 1]
 
 
 def test_a_solution_comes_at_the_next_step(shown, open_page):

@@ -9,9 +9,10 @@ reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-of
 need no network.
 """
 
-import copy
+import base64
 import html
 import io
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -19,15 +20,19 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import yaml
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
 from nbformat.v4 import new_markdown_cell, new_notebook
+from numpy.typing import NDArray
 from PIL import Image
 
 from course import nbtools
 from course.classroom import solve
+from course.figures.plot import DPI
 from omnistereo_lib.errors import OmnistereoError
+from workshop.publish.website import BEST
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
 MATHJAX = Path(
@@ -38,6 +43,10 @@ TEMPLATE = BOOK / "slides_template"
 WRITTEN = BOOK / "slides"
 SCRIPTS = (MATHJAX, TEMPLATE / "deal.js")
 DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
+WHITE = 235  # a pixel at least this bright is paper
+# px of the 10 pt in which Matplotlib labels axes
+LABEL = {f"image/{kind}": round(10 * dpi / 72, 1) for kind, dpi in DPI.items()}
+SENTENCE = re.compile(r"(?<=[.?]) (?=[A-Z])")
 SHOWN = re.compile(r'\bshow\(.*, "([^"]+)"\)')  # the name of a figure
 
 
@@ -70,7 +79,6 @@ def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> No
         reveal_url_prefix="reveal.js",
         reveal_theme="white",
         exclude_anchor_links=True,
-        config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": ["hide-input"]}},
     )
     entries = []
     for path in paths:
@@ -125,28 +133,33 @@ def print_slides(pages: list[Path]) -> None:
 
 
 def shown(nb: NotebookNode, number: str) -> Iterator[NotebookNode]:
-    """Yield the cells of a notebook's slides: an idea, a sentence, what there is to see."""
-    script = WRITTEN / f"{number}.yaml"
-    first = nb.cells[0].source.partition("\n")[0]
-    learn = nb.metadata["omnistereo"]["learn"]
-    yield new_markdown_cell(f"{first}\n\nYou will {learn}.\n\n{first_picture(nb)}")
+    """Yield the cells of a notebook's slides: an idea, what there is to see, a sentence."""
+    script = yaml.safe_load((WRITTEN / f"{number}.yaml").read_text(encoding="utf-8"))
+    figures = {
+        name: output
+        for cell in nbtools.code_cells(nb)
+        for name, output in zip(SHOWN.findall(cell.source), pictures_of(cell), strict=False)
+    }
+    cuts = {slide["figure"]: slide for slide in script if "figure" in slide}
+    best, learn = f"{number} {BEST[number]}", nb.metadata["omnistereo"]["learn"]
+    yield new_markdown_cell(nb.cells[0].source.partition("\n")[0])
+    yield new_markdown_cell(picture(figures[best], **cuts.get(best, {})))
+    yield new_markdown_cell(f"{learn[0].upper()}{learn[1:]}.")
     solutions = folded_solutions(nb)
-    for slide in yaml.safe_load(script.read_text(encoding="utf-8")):
-        formula = f"\n\n$$ {slide['formula']} $$" if "formula" in slide else ""
-        idea = html.escape(slide["idea"])
-        yield new_markdown_cell(f"<h2 class='slide'>{idea}</h2>\n\n{slide['say']}{formula}")
-        for cell in nbtools.code_cells(nb):
-            cell.metadata.setdefault("tags", [])
-            if slide.get("function") in {stub.name for stub in solve.stubs(cell.source)}:
-                yield cell
-                yield new_markdown_cell(solutions[slide["function"]])
-            names = SHOWN.findall(cell.source)
-            if slide.get("figure") in names:
-                pictures = [o for o in cell.outputs if {*nbtools.PICTURES} & {*o.get("data", {})}]
-                only = copy.deepcopy(cell)
-                only.outputs = [pictures[names.index(slide["figure"])]]
-                only.metadata.tags = ["hide-input"]
-                yield only
+    stubs = {s.name: cell for cell in nbtools.code_cells(nb) for s in solve.stubs(cell.source)}
+    for slide in script:
+        yield new_markdown_cell(f"<h2 class='slide'>{html.escape(slide['idea'])}</h2>")
+        if "figure" in slide:
+            yield new_markdown_cell(picture(figures[slide["figure"]], **slide))
+        if "formula" in slide:
+            yield new_markdown_cell(f"$$ {slide['formula']} $$")
+        say = slide["say"]
+        if not slide.keys() & {"figure", "formula", "function"}:
+            say = SENTENCE.sub("\n- ", f"- {say}")
+        yield new_markdown_cell(say)
+        if "function" in slide:
+            yield stubs[slide["function"]]
+            yield new_markdown_cell(solutions[slide["function"]])
 
 
 def folded_solutions(nb: NotebookNode) -> dict[str, str]:
@@ -158,12 +171,40 @@ def folded_solutions(nb: NotebookNode) -> dict[str, str]:
     return {name: f"{fold}\n```\n</details>" for name, fold in folds.items()}
 
 
-def first_picture(nb: NotebookNode) -> str:
-    """Return the first picture of a notebook as HTML."""
-    outputs = (output for cell in nbtools.code_cells(nb) for output in cell.outputs)
-    for data in (output.get("data", {}) for output in outputs):
-        for mime in {*nbtools.PICTURES} & {*data}:
-            alt, content = html.escape(data["text/plain"]), data[mime].replace("\n", "")
-            image = f'<img src="data:{mime};base64,{content}" alt="{alt}">'
-            return f'<div class="jp-RenderedImage">{image}</div>'
-    return ""
+def pictures_of(cell: NotebookNode) -> list[NotebookNode]:
+    """Return the outputs of a cell that are pictures."""
+    return [o for o in cell.outputs if {*nbtools.PICTURES} & {*o.get("data", {})}]
+
+
+def picture(output: NotebookNode, rows: int = 1, columns: int = 1, **_: str) -> str:
+    """Return a picture as HTML, with where deal.js may cut it: `rows` where all of it would be too
+    small to be projected, `columns` on a telephone.
+    """
+    (mime,) = {*nbtools.PICTURES} & {*output.data}
+    alt, content = html.escape(output.data["text/plain"]), output.data[mime].replace("\n", "")
+    image = Image.open(io.BytesIO(base64.b64decode(content)))
+    ink = np.asarray(image.convert("L")) < WHITE
+    # a colour bar at the right may be common to the rows
+    left = ink[:, : int(0.85 * image.width)]
+    boxes = {
+        "rows": parts(np.any(left, axis=1), rows),
+        "columns": parts(np.any(ink, axis=0), columns),
+    }
+    facts = "".join(f" data-{name}='{json.dumps(found)}'" for name, found in boxes.items())
+    size = f'width="{image.width}" height="{image.height}"'
+    shown = f'<img src="data:{mime};base64,{content}" {size} alt="{alt}">'
+    return f'<div class="picture" data-label="{LABEL[mime]}"{facts}>{shown}</div>'
+
+
+def parts(ink: NDArray[np.bool_], count: int) -> list[tuple[int, int]]:
+    """Return where `count` parts begin and end along an axis: between them is the most paper."""
+    (at,) = np.nonzero(ink)
+    cuts: list[int] = []
+    ends, least = [at[0], at[-1]], 0.45 * (at[-1] - at[0]) / count
+    for k in np.argsort(-np.diff(at), kind="stable"):
+        if len(cuts) + 1 < count and all(abs(at[k] - end) > least for end in ends):
+            cuts.append(k)
+            ends.append(at[k])
+    inner = sorted(cuts)
+    starts, stops = [at[0], *at[[k + 1 for k in inner]]], [*at[inner], at[-1]]
+    return [(int(a), int(b) + 1) for a, b in zip(starts, stops, strict=True)]
