@@ -6,6 +6,7 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
+from datetime import datetime
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,9 @@ def data_of(page: str) -> dict[str, Any]:
 
 
 def read_page(path: Path) -> dict[str, Any]:
-    """Return `data_of` a file; an `OmnistereoError` says if it is no page of the viewer."""
+    """Return `data_of` a file, with the folder and the time that it was `made` in; an
+    `OmnistereoError` says if it is no page of the viewer.
+    """
     text = read_text(path)
     try:
         data = data_of(text)
@@ -66,7 +69,8 @@ def read_page(path: Path) -> dict[str, Any]:
         raise OmnistereoError(
             f"{path} is not the page of a frame. Pass what omnistereo depth wrote"
         )
-    return data
+    when = datetime.fromtimestamp(path.stat().st_mtime).astimezone()
+    return data | {"made": f"{path.resolve().parent.name}, {when.day} {when:%b, %H:%M}"}
 
 
 def viewer_data(
@@ -104,7 +108,7 @@ def viewer_data(
     if trust is not None:
         optional["trust"] = packed(_percent(trust[::step, ::step]))
     if beside is not None:
-        shown = ("title", "width", "height", "phi", "perStep", "steps", "trust")
+        shown = ("title", "width", "height", "phi", "perStep", "steps", "trust", "made")
         optional["beside"] = {name: beside[name] for name in shown if name in beside}
     if gt_index is not None:
         optional["truth"] = packed(_in_steps(truth, per_step))

@@ -11,12 +11,15 @@ const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.ab
 // that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS are discs
 // of one colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2
 // for the error, 3 for the difference from the other run.
+// What nothing is drawn on, in any colour scheme: dark, since between points and surfaces anything bright would dazzle.
+const GROUND = 0.125;
+
 const SHADE = `
+#define GROUND ${GROUND}
 precision highp float;
 uniform sampler2D picture, colors, trusts;
 uniform highp sampler2D rays;  // of each ray: inverse depth in 1/m, the exact one, another run's; -1 is unknown
 uniform vec2 size, range;      // columns and rows of the rays; inverse depths at the ends of the colours
-uniform vec3 paper;
 uniform float mixed, least, doubtful, perPercent, edge, divide;
 
 // Of what a place shows: values of the near and of the far surface there, and how much of the near one. They come from
@@ -45,8 +48,11 @@ vec3 surfaces(vec2 at, bool byExact, vec3 here) {
   return vec3(vec2(dot(near, value), dot(far, value)) / max(sums, 1e-6), sums.x / (sums.x + sums.y));
 }
 
+// Where nothing is seen: the ground, hatched.
+vec3 unseen() { return vec3(mod(gl_FragCoord.x + gl_FragCoord.y, 10.0) < 2.0 ? 0.22 : GROUND); }
+
 vec3 inColors(float value) {
-  if (value < 0.0) return vec3(0.7);
+  if (value < 0.0) return unseen();
   float scaled = LAYER > 1 ? value * perPercent : (value - range.x) / (range.y - range.x);
   return texture(colors, vec2(clamp(scaled, 0.002, 0.998), 0.5)).rgb;
 }
@@ -61,10 +67,10 @@ vec4 shade(vec2 at, vec3 seen, bool fades) {
   // Half blended, the picture keeps most of its light: what is far is dark in the colours of depth.
   seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(dot(depth, vec3(0.3, 0.6, 0.1))), 0.85 * doubt) * mixed, 1.0);
 #endif
-  if (fades) seen = mix(seen, paper, 0.4 * doubt);
+  if (fades) seen = mix(seen, mix(vec3(dot(seen, vec3(0.3, 0.6, 0.1))), vec3(GROUND), 0.4), 0.85 * doubt);
 #ifdef THIN
   float shown = smoothstep(least - 0.08, least + 0.01, trust);
-  return vec4(mix(paper, seen, shown), shown);
+  return vec4(mix(unseen(), seen, shown), shown);
 #else
   return vec4(seen, 1);
 #endif
@@ -81,15 +87,22 @@ vec4 name(vec2 at) {
 // through the eye keeps it from being stretched (Panini's projection, d = 1).
 const INSIDE = {
   vertex: `
-    void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`,
+    void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 1, 1); }  // behind everything`,
   fragment: SHADE + `
     out vec4 color;
     uniform vec2 view, turn, phi;  // pixels; azimuth and tilt; first and last elevation
     uniform mat3 axes;
-    uniform float focal, level;    // pixels per radian; level of the picture, whose pixels are about as large
+    uniform float focal, level, halves;  // pixels per radian; level of the picture, whose pixels are about as large
     void main() {
       vec2 p = (gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1);
+#ifdef HATCHED
+      color = vec4(unseen(), 1);
+      return;
+#endif
 #ifdef WHOLE
+      // Of two halves, what lies behind is below.
+      bool below = halves > 1.0 && p.y > 0.0;
+      p += halves > 1.0 ? vec2(below ? 3.141592654 : 0.0, (below ? -0.25 : 0.25) * view.y / focal) : vec2(0);
       vec2 angles = p + turn + vec2(0, 0.5 * (phi.x + phi.y));
 #else
       vec3 d = vec3(p, 1.0 - 0.25 * p.x * p.x) * axes;
@@ -100,14 +113,14 @@ const INSIDE = {
 #ifdef NAMING
       color = inside ? name(at) : vec4(0);
 #else
-      color = vec4(inside ? shade(at, textureLod(picture, at / size, level).rgb, false).rgb : paper, 1);
+      color = vec4(inside ? shade(at, textureLod(picture, at / size, level).rgb, false).rgb : vec3(GROUND), 1);
 #endif
     }`,
 };
 
 // From anywhere: a vertex is a place in rays and an inverse depth, so that what is infinitely far has one, too.
 const OUTSIDE = {
-  vertex: SHADE + `
+  vertex: `
     layout(location = 0) in vec2 ray;        // column and row
     layout(location = 1) in vec4 direction;  // and the inverse depth along it
     layout(location = 2) in float fringe;    // at an edge in depth 1 the near side, 2 the far side
@@ -130,13 +143,14 @@ const OUTSIDE = {
     out vec4 color;
     void main() {
 #ifdef POINTS
-      // A disc on the surface around each ray. Those that are smaller than a pixel or two leave no gaps between them.
+      // A disc on the surface around each ray, as large as it touches the next ones; what is left between them is darker.
       vec2 ray = floor(at) + 0.5;
       float here = texelFetch(rays, ivec2(mod(ray.x, size.x), clamp(ray.y, 0.0, size.y - 1.0)), 0).x;
-      float many = max(length(dFdx(at)), length(dFdy(at))), radius = mix(0.5, 0.75, smoothstep(0.15, 0.5, many));
+      float many = max(length(dFdx(at)), length(dFdy(at))), between = smoothstep(0.4, 0.5, length(at - ray)) * (1.0 - smoothstep(0.05, 0.3, many));
       bool same = max(here, depth) <= ${EDGE} * min(here, depth) || abs(here - depth) <= edge;
       vec4 tint = shade(ray, textureLod(picture, ray / size, log2(float(textureSize(picture, 0).x) / size.x)).rgb, true);
-      if (!same || depth < nearest || length(at - ray) > radius || tint.a < 0.02) discard;
+      if (!same || depth < nearest || tint.a < 0.02) discard;
+      tint.rgb *= 1.0 - 0.35 * between;
 #endif
 #if defined(NAMING) && (defined(POINTS) || !defined(RIM))
       color = name(at);
@@ -156,9 +170,6 @@ const OUTSIDE = {
 #if defined(RIM) || defined(THIN)
       if (shown.a < 0.02) discard;
 #endif
-#ifdef VEIL
-      shown = vec4(paper + (mod(gl_FragCoord.x + gl_FragCoord.y, 10.0) < 2.0 ? 0.06 : 0.0), 1);
-#endif
       color = shown;
 #endif
 #endif
@@ -172,10 +183,10 @@ function makeMesh(known) {
   const rayAt = (column, row) => clamp(row - 1, 0, D.height - 1) * D.width + column % D.width;
   for (let row = 0; row < rows; row++)
     for (let column = 0; column < across; column++)
-      vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), inverse(rayAt(column, row)) || 0, 1));
+      vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), drawn[rayAt(column, row)] || 0, 1));
   const depths = Float64Array.from({ length: across * rows }, (_, i) => vertices[FLOATS * i + 5]);
   // Of each cell whether its corners are known, 1, and show one surface, 2.
-  const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows), veil = [];
+  const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows);
   for (let row = 0; row + 1 < rows; row++)
     for (let column = 0; column < D.width; column++) {
       const corners = cornersOf(row * across + column, 1, across);
@@ -185,7 +196,6 @@ function makeMesh(known) {
       if (cells[corners[0]] === 2) continue;
       // An edge in depth: both surfaces go on for a ray, one before the other.
       corners.forEach(i => { used[i] = 1; });
-      veil.push(...twoTriangles(corners));
       const near = four.map(depth => sameSurface(depth, high));
       const far = four.map((depth, i) => !near[i] && sameSurface(depth, low));
       fringes[0].push(...twoTriangles(extended(vertices, corners, far, 2)));
@@ -194,7 +204,7 @@ function makeMesh(known) {
   const blocks = blocksOf(cells, depths, across, rows), opaque = [];
   for (const [corner, side] of blocks) cornersOf(corner, side, across).forEach(i => { used[i] = 1; });
   for (const [corner, side] of blocks) opaque.push(...fan(outline(corner, side, across).filter(i => used[i])));
-  return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()), veil: Uint32Array.from(veil) };
+  return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()) };
 }
 
 const LARGEST = 8, FLAT_SPHERES = 0.5;  // cells along a block; how far a ray in it may be from its corners' surface
@@ -291,8 +301,7 @@ function makeRenderer(canvas, picture, mesh) {
 
   function render(view, settings) {
     gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(...settings.paper, 1);
-    if (settings.naming) gl.clearColor(0, 0, 0, 0);
+    gl.clearColor(...settings.naming ? [0, 0, 0, 0] : [GROUND, GROUND, GROUND, 1]);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     use(view, settings);
     if (view.mode === "look" || view.mode === "flat") gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -305,21 +314,19 @@ function makeRenderer(canvas, picture, mesh) {
     gl.enable(gl.CULL_FACE);
     gl.frontFace(gl.CW);
     gl.drawElements(gl.TRIANGLES, mesh.opaque.length, gl.UNSIGNED_INT, 0);
-    if (!settings.naming && view.mode === "surfaces") drawVeil(view, settings);
+    if (!settings.naming && view.mode === "surfaces") {
+      use({ ...view, mode: "look" }, settings, "HATCHED");
+      gl.frontFace(gl.CCW);
+      gl.depthFunc(gl.LEQUAL);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.frontFace(gl.CW);
+    }
     use(view, settings, "RIM");
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.drawElements(gl.TRIANGLES, mesh.fringe.length, gl.UNSIGNED_INT, 4 * mesh.opaque.length);
     for (const used of [gl.BLEND, gl.CULL_FACE, gl.DEPTH_TEST]) gl.disable(used);
     gl.bindVertexArray(null);
-  }
-
-  // What is hidden behind an edge in depth, from the near surface to the far one: hatched.
-  function drawVeil(view, settings) {
-    use(view, settings, "VEIL");
-    gl.disable(gl.CULL_FACE);
-    gl.drawElements(gl.TRIANGLES, mesh.veil.length, gl.UNSIGNED_INT, 4 * (mesh.opaque.length + mesh.fringe.length));
-    gl.enable(gl.CULL_FACE);
   }
 
   // The numbers of the rays that the pixels of a rectangle show, -1 where there is none; from the top left.
@@ -346,7 +353,7 @@ function makeRenderer(canvas, picture, mesh) {
 }
 
 // The vertices with their triangles.
-function upload(gl, { vertices, opaque, fringe, veil }) {
+function upload(gl, { vertices, opaque, fringe }) {
   const array = gl.createVertexArray();
   gl.bindVertexArray(array);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
@@ -356,7 +363,7 @@ function upload(gl, { vertices, opaque, fringe, veil }) {
     gl.vertexAttribPointer(place, count, gl.FLOAT, false, 4 * FLOATS, 4 * first);
   });
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe, ...veil]), gl.STATIC_DRAW);
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe]), gl.STATIC_DRAW);
   gl.bindVertexArray(null);
   return array;
 }
@@ -387,7 +394,7 @@ function colorTexture(gl) {
 
 function rayTexture(gl, other) {
   const made = texture(gl, gl.REPEAT, gl.NEAREST), values = new Float32Array(4 * steps.length).fill(-1);
-  [steps, truth].forEach((from, i) => from?.forEach((step, k) => { if (step) values[4 * k + i] = inverse(k, from); }));
+  [steps, truth].forEach((from, i) => from?.forEach((step, k) => { if (step) values[4 * k + i] = i ? inverse(k, from) : drawn[k]; }));
   other?.forEach((value, k) => { values[4 * k + 2] = value; });
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, D.width, D.height, 0, gl.RGBA, gl.FLOAT, values);
   return made;

@@ -6,7 +6,7 @@ const metres = d => d > 1e6 ? "infinitely far" : d.toFixed(d >= 100 ? 0 : d >= 1
 const oneDigit = d => d < 1e6 ? (d >= 0.95 ? d.toFixed(0) : Number(d.toPrecision(1))) + " m" : "any distance";
 
 // Of each ray: steps of inverse depth from 1, 0 is unknown; confidence and trust in percent; the exact steps.
-let steps, confidence, trust, truth, sigmas, bounds, seconds;
+let steps, confidence, trust, truth, sigmas, bounds, seconds, drawn;
 
 async function unpackRays() {
   [steps, confidence, trust, truth, sigmas, bounds, seconds] = await Promise.all(
@@ -14,6 +14,7 @@ async function unpackRays() {
       [D.sigma, Uint8Array], [D.bound, Uint8Array], [D.second, Uint16Array]]
       .map(([text, type]) => text && unpacked(text, D.width, type)));
   trust ??= new Uint8Array(steps.length).fill(100);
+  drawn = levelled();
 }
 
 // Inverse depth of a ray in 1/m, NaN unknown.
@@ -25,6 +26,33 @@ const sphereOf = inverseDepth => (inverseDepth - D.inverse[0]) / perSphere;
 const inverseOf = sphere => D.inverse[0] + sphere * perSphere;
 
 const radiansPerRow = (D.phi[1] - D.phi[0]) / D.height;
+
+const CAP = 25 * Math.PI / 180, AROUND = 7 * Math.PI / 180;  // around a pole; around a ray
+
+// The inverse depths that are drawn. Around the poles many rays see one place: those that are trusted least, which make
+// spikes in the ground below the rig, are drawn at the mean of the others. What is told and saved is the estimate.
+function levelled() {
+  const found = Float64Array.from(steps, (_, k) => inverse(k)), rows = Math.round(AROUND / radiansPerRow);
+  const wide = row => Math.cos(D.phi[0] + (row + 0.5) * radiansPerRow);  // a ray, in heights of a row
+  // Of the rays of a row around each: the sums of weights, and of weighted inverse depths.
+  const sumsOf = row => Array.from({ length: D.width }, (_, column) => {
+    const reach = Math.min(D.width / 4, Math.round(rows / wide(row))), sums = [0, 0];
+    for (let i = -reach; i <= reach; i++) {
+      const k = row * D.width + (column + i + D.width) % D.width, weight = found[k] >= 0 ? (trust[k] / 100) ** 6 * wide(row) / (2 * reach + 1) : 0;
+      sums[0] += weight;
+      sums[1] += weight && weight * found[k];
+    }
+    return sums;
+  });
+  const sums = Array.from({ length: D.height }, (_, row) => wide(row) < Math.sin(CAP + AROUND) ? sumsOf(row) : null);
+  return found.map((value, k) => {
+    const row = Math.floor(k / D.width), share = clamp((95 - trust[k]) / 15, 0, 1);
+    if (!share || wide(row) > Math.sin(CAP)) return value;
+    const around = sums.slice(Math.max(0, row - rows), row + rows + 1).map(those => those[k % D.width]);
+    const [weight, sum] = [0, 1].map(i => around.reduce((total, both) => total + both[i], 0));
+    return weight ? value + share * (sum / weight - value) : value;
+  });
+}
 
 // The direction at a place of the panorama, in columns and rows: x right, y down, z forward.
 function directionAt(column, row) {
@@ -50,13 +78,6 @@ const pointOf = (k, from = steps) => directionOf(k).map(x => x / inverse(k, from
 const width = code => code ? D.perStep * 2 ** ((code - 1) / 16) : NaN;
 const sigma = k => width(sigmas[k]), bound = k => width(bounds[k]);
 
-// A depth with its error bar: of the depth, σ is larger to the far side. Of what is far it would say nothing.
-function withBar(k) {
-  const q = inverse(k), s = sigma(k);
-  if (q - s <= 0 || q * D.maxDepth < 1) return (q > 1e-6 ? "about " : "") + metres(1 / q);
-  return metres(1 / q) + (Number.isNaN(s) ? "" : ` ± ${oneDigit(s / q ** 2)}`);
-}
-
 // Another surface with a tenth of the evidence or more: nearly always at the rim of something.
 function secondWords(k) {
   const other = inverse(k, seconds), apart = Math.abs(1 / other - 1 / inverse(k));
@@ -64,12 +85,21 @@ function secondWords(k) {
   return `or ${metres(1 / other)}${apart < 1e6 ? `, ${oneDigit(apart)} ${other < inverse(k) ? "behind" : "before"} it` : ""}`;
 }
 
-// Where nineteen of twenty such rays end.
-function boundWords(k) {
+// Where nineteen of twenty such rays end: [nearest, farthest]; nothing without error bars.
+function rangeOf(k) {
   const q = inverse(k), b = bound(k);
-  if (Number.isNaN(b)) return "";
-  const near = metres(1 / (q + b)).replace(" m", "");
-  return q - b > 1e-6 ? `95 %: ${near} to ${metres(1 / (q - b))}` : `95 %: ${near} m or more`;
+  return Number.isNaN(b) ? [] : [metres(1 / (q + b)).replace(" m", ""), q - b > 1e-6 ? metres(1 / (q - b)).replace(" m", "") : ""];
+}
+
+// A depth with that range; a second one where the depth may be either.
+function withRange(k) {
+  const [near, far] = rangeOf(k), depth = metres(1 / inverse(k));
+  return depth + (near ? far ? ` (${near} to ${far})` : ` (${near} or more)` : "");
+}
+
+function boundWords(k) {
+  const [near, far] = rangeOf(k);
+  return near ? `95 % of such rays: ${far ? `${near} to ${far} m` : `${near} m or more`}` : "";
 }
 
 // The distance between the ends of two rays, and its standard deviation: that of depth d is d² times that of 1 / d, and

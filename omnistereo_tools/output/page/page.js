@@ -2,7 +2,7 @@
 "use strict";
 
 const canvas = $("view");
-const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const calm = matchMedia("(prefers-reduced-motion: reduce)");
 const PRESS = matchMedia("(pointer: coarse)").matches ? "Tap" : "Click";
 const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.2, tilt: 0.3, distance: 0 };
 const SLOW_MS = 70, COARSEST = 0.25;  // two frames that take longer; of the pixels along a side
@@ -10,6 +10,7 @@ const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the ca
 let view = { ...start }, renderer = null, picks = [], why = null;
 
 const mode = () => document.querySelector("input[name=mode]:checked").value;
+const halves = () => canvas.clientHeight > canvas.clientWidth ? 2 : 1;  // of the panorama, one below the other
 const outside = () => mode() === "points" || mode() === "surfaces";
 const doubtful = k => trust[k] < D.doubtful;
 
@@ -19,7 +20,7 @@ const doubtful = k => trust[k] < D.doubtful;
 function focal() {
   const { clientWidth: w, clientHeight: h } = canvas, tallest = Math.min(Math.PI / 4, Math.max(...D.phi.map(Math.abs)));
   if (outside()) return 0.8 * Math.max(w, h);
-  if (mode() === "flat") return (h > w ? 2 : 1) * w / (2 * Math.PI) * view.zoom;  // upright, half of it at first
+  if (mode() === "flat") return Math.min(halves() * w / (2 * Math.PI), h / halves() / (D.phi[1] - D.phi[0])) * view.zoom;
   const sharp = MAGNIFIED * D.pixelsPerDegree * 180 / Math.PI;
   return Math.max(Math.min(h / 2 / Math.tan(tallest), sharp), w / 5.7) * view.zoom;
 }
@@ -28,14 +29,12 @@ function focal() {
 function seen() {
   const density = canvas.width / canvas.clientWidth;
   const [turn, tilt] = outside() ? [view.turn, view.tilt] : [view.yaw, view.pitch];
-  return { mode: mode(), focal: focal() * density, turn: [turn, tilt], behind: outside() ? view.distance : 0 };
+  return { mode: mode(), focal: focal() * density, turn: [turn, tilt], behind: outside() ? view.distance : 0, halves: halves() };
 }
 
 function settings() {
-  // Between points and surfaces anything bright would dazzle.
-  const paper = (dark.matches || outside() ? 0x20 : 0xfa) / 255;
   return {
-    paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
+    mixed: $("mix").value / 100, least: leastTrust() / 100,
     layer: ["estimate", "truth", "error", "apart"].indexOf($("layer").value),
     divide: $("divide").value * canvas.width,
   };
@@ -51,7 +50,7 @@ function draw() {
 function drawNow() {
   renderer.draw(seen(), settings());
   drawMarks();
-  $("divide").hidden = outside();  // between points and surfaces there is no line
+  $("sides").hidden = !other || outside();  // between points and surfaces there is no line
   clearTimeout(storing);
   storing = setTimeout(storeState, 200);
   document.body.dataset.drawn = mode();
@@ -82,8 +81,9 @@ function placeOf([x, y, z]) {
   const { turn: [turn, tilt], behind } = seen();
   const [s, c, t, u] = [Math.sin(turn), Math.cos(turn), Math.sin(tilt), Math.cos(tilt)];
   if (mode() === "flat") {
-    const right = Math.atan2(x, z) - turn, low = Math.atan2(y, Math.hypot(x, z)) - tilt - (D.phi[0] + D.phi[1]) / 2;
-    return [w / 2 + f * Math.atan2(Math.sin(right), Math.cos(right)), h / 2 + f * low];
+    const azimuth = Math.atan2(x, z) - turn, low = Math.atan2(y, Math.hypot(x, z)) - tilt - (D.phi[0] + D.phi[1]) / 2;
+    const below = halves() > 1 && Math.cos(azimuth) < 0, right = azimuth - below * Math.PI;
+    return [w / 2 + f * Math.atan2(Math.sin(right), Math.cos(right)), h * (halves() > 1 ? below ? 0.75 : 0.25 : 0.5) + f * low];
   }
   const right = c * x - s * z, forward = s * x + c * z, down = u * y - t * forward, ahead = t * y + u * forward + behind;
   if (outside()) return ahead > 0 ? [w / 2 + f * right / ahead, h / 2 + f * down / ahead] : null;
@@ -128,8 +128,16 @@ function drawMarks() {
   const places = picks.map(k => placeOf(inverse(k) > 1e-6 ? pointOf(k) : directionOf(k).map(x => 1e6 * x)));
   const shapes = places.filter(Boolean).map(([cx, cy]) => svg("circle", { cx, cy, r: 8 }));
   const [a, b] = places, x = $("divide").value * canvas.clientWidth;
-  if (other && !outside()) shapes.push(svg("line", { x1: x, y1: 0, x2: x, y2: canvas.clientHeight }));
+  if (other && !outside()) {
+    shapes.push(svg("line", { x1: x, y1: 0, x2: x, y2: canvas.clientHeight }));
+    $("left").style.right = canvas.clientWidth - x + 8 + "px";
+    $("right").style.left = x + 8 + "px";
+  }
   if (a && b) shapes.push(svg("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1] }));
+  if (mode() === "flat" && !other) shapes.push(...["ahead", "right", "behind", "left"].map((words, i) => {
+    const turn = i * Math.PI / 2, [x, y] = placeOf([Math.sin(turn), Math.tan(Math.min(D.phi[1], 1.5)), Math.cos(turn)]);
+    return Object.assign(svg("text", { x: clamp(x, 30, canvas.clientWidth - 30), y: y - 10 }), { textContent: words });
+  }));
   $("marks").replaceChildren(...shapes);
 }
 
@@ -152,7 +160,7 @@ function distanceWords() {
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
   $("readout").textContent = k < 0 ? (outside() ? "not seen by any camera" : "") : !steps[k] ? "no depth here"
-    : withBar(k) + (other ? `, the other run ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
+    : withRange(k) + (other ? `, ${other.name} ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
 // --- Why a ray has its depth -----------------------------------------------------------------------------------------
@@ -162,7 +170,8 @@ function showWhy(k) {
   why = explain(k);
   $("why").hidden = false;
   $("sentence").textContent = (other ? `${nameOf(D)}: ` : "") + sentenceOf(why);
-  $("bar").textContent = [withBar(k), boundWords(k), secondWords(k)].filter(Boolean).join("; ");
+  $("bar").textContent = [boundWords(k), secondWords(k)].filter(Boolean).join("; ");
+  $("exactKey").hidden = !(truth && truth[k]);
   $("tilt").textContent = tiltWords(why);
   $("along").max = D.spheres - 1;
   $("along").value = Math.round(why.index);
@@ -173,7 +182,7 @@ function tiltWords({ k, shift }) {
   if (Number.isNaN(shift)) return "";
   const near = inverse(k), far = near - shift;
   const moved = far > 0 ? oneDigit(1 / far - 1 / near) : "any distance";
-  return `One camera tilted by ${R.tiltDeg}° would move it by ${moved}.`;
+  return `One camera tilted by ${R.tiltDeg}° would move it by ${moved.replace(" m", "\u00a0m")}.`;
 }
 
 // At the estimate, its own depth is shown and not that of the nearest sphere.
@@ -186,38 +195,42 @@ function showAlong() {
   D.cameras.forEach((camera, i) => { drawPatch(camera, i, at); drawFisheye(camera, i, at); });
 }
 
-const INK = { line: "#d07010", estimate: "#2a7fd4", exact: "#2e9e4f", cursor: "#888" };
+const INK = { line: "#d07010", estimate: "#2a7fd4", range: "#2a7fd444", cursor: "#888" };
 
-// Agreement along the ray, far on the left; vertical lines at the estimate, the exact depth and the slider.
+// Agreement along the ray, far on the left; vertical lines at the estimate, within its range, the exact depth and the slider.
 function drawCurve(cursor) {
-  const box = $("curve"), [w, h] = [box.width, box.height] = [2 * box.clientWidth, 2 * box.clientHeight];
-  const context = box.getContext("2d"), ink = getComputedStyle(document.body).color;
-  const x = n => 10 + n / (D.spheres - 1) * (w - 20), y = value => (h - 40) * (1 - Math.max(value, 0)) + 12;
-  const line = (color, width, ...points) => {
+  const box = $("curve"), [w, h] = [box.width, box.height] = [2 * box.clientWidth, 2 * box.clientHeight], low = h - 36;
+  const context = box.getContext("2d"), ink = getComputedStyle(document.body).color, q = inverse(why.k), b = bound(why.k);
+  const x = n => 10 + clamp(n, 0, D.spheres - 1) / (D.spheres - 1) * (w - 20), y = value => (low - 12) * (1 - Math.max(value, 0)) + 12;
+  const line = (color, width, dash, ...points) => {
     context.beginPath();
+    context.setLineDash(dash);
     points.forEach(([px, py]) => Number.isNaN(py) ? context.moveTo(px, 12) : context.lineTo(px, py));
     Object.assign(context, { strokeStyle: color, lineWidth: width });
     context.stroke();
   };
-  line(INK.cursor, 2, [x(cursor), 0], [x(cursor), h - 28]);
-  line(INK.estimate, 5, [x(why.index), 0], [x(why.index), h - 28]);
+  const across = (n, color, width, dash = []) => line(color, width, dash, [x(n), 0], [x(n), low]);
+  context.fillStyle = INK.range;
+  if (b > 0) context.fillRect(x(sphereOf(q - b)), 0, x(sphereOf(q + b)) - x(sphereOf(q - b)), low);
+  line(INK.cursor, 1, [], [0, low], [w, low]);
+  across(cursor, INK.cursor, 2);
+  across(why.index, INK.estimate, 5);
   const exact = truth && sphereOf(inverse(why.k, truth));
-  if (exact >= 0) line(INK.exact, 3, [x(exact), 0], [x(exact), h - 28]);
-  line(INK.line, 3, ...why.agreement.map((value, n) => [x(n), Number.isNaN(value) ? NaN : y(value)]));
-  Object.assign(context, { fillStyle: INK.line, font: "22px system-ui", textBaseline: "bottom" });
+  if (exact >= 0) across(exact, ink, 3, [8, 6]);
+  line(INK.line, 4, [], ...why.agreement.map((value, n) => [x(n), Number.isNaN(value) ? NaN : y(value)]));
+  Object.assign(context, { fillStyle: INK.line, font: "24px system-ui", textBaseline: "bottom" });
   for (const mode of why.modes.slice(0, 3)) {
     context.beginPath();
-    context.arc(x(mode.sphere), y(mode.agreement), 7, 0, 7);
+    context.arc(x(mode.sphere), y(mode.agreement), 8, 0, 7);
     context.fill();
   }
-  context.fillStyle = ink;
-  context.fillText("far", 4, h);
-  context.textAlign = "right";
-  context.fillText("near", w - 4, h);
-  context.textAlign = "center";
-  for (const [color, name, at] of [[INK.estimate, "estimate", 0.3], [INK.exact, exact >= 0 ? "exact" : "", 0.5], [INK.line, "agreement", 0.7]]) {
-    context.fillStyle = color;
-    context.fillText(name, at * w, h);
+  Object.assign(context, { fillStyle: ink, textAlign: "center" });
+  let free = 0;
+  for (const [at, text] of D.ticks) {
+    const half = context.measureText(text).width / 2, place = clamp(x(sphereOf(D.low + at * (D.high - D.low))), half, w - half);
+    if (place - half < free) continue;
+    context.fillText(text, place, h);
+    free = place + half + 16;
   }
 }
 
@@ -244,8 +257,8 @@ function drawFisheye(camera, i, inverseDepth) {
   // The middle of pixel (0, 0) is half a pixel from the corner.
   context.setTransform(1, 0, 0, 1, 0.5, 0.5);
   const places = Array.from({ length: D.spheres }, (_, n) => visiblePlace(camera, inverseOf(n)));
-  const at = visiblePlace(camera, inverseDepth), reach = side / 14;
-  for (const [width, color] of [[side / 60, "#000"], [side / 140, "#ff0"]]) {
+  const at = visiblePlace(camera, inverseDepth), reach = side / 7;
+  for (const [width, color] of [[side / 18, "#000"], [side / 40, "#ff0"]]) {
     Object.assign(context, { lineWidth: width, strokeStyle: color });
     context.beginPath();
     places.forEach((place, n) => place && (n && places[n - 1] ? context.lineTo(...place) : context.moveTo(...place)));
@@ -372,22 +385,24 @@ $("saveDepth").onclick = () => save("inverse_depth.tiff", tiffOf(Float32Array.fr
 
 // Another run of the same scene: at each ray of ours its nearest one.
 let other = null;
-async function showBeside(run) {
+async function showBeside(run, made = run.made ?? "") {
   const [theirSteps, theirTrust] = await Promise.all([unpacked(run.steps, run.width, Uint16Array), run.trust && unpacked(run.trust, run.width, Uint8Array)]);
   const at = Int32Array.from(steps, (_, k) => {
     const [x, y, z] = directionOf(k), row = Math.floor((Math.atan2(y, Math.hypot(x, z)) - run.phi[0]) / (run.phi[1] - run.phi[0]) * run.height);
     return row < 0 || row >= run.height ? -1 : row * run.width + Math.floor((Math.atan2(x, z) / (2 * Math.PI) + 0.5) * run.width) % run.width;
   });
   other = {
+    name: nameOf(run),
     inverse: Float32Array.from(at, k => k < 0 || !theirSteps[k] ? -1 : (theirSteps[k] - 1) * run.perStep),
     trust: Uint8Array.from(at, k => k < 0 ? 0 : theirTrust ? theirTrust[k] : 100),
   };
   renderer.showOther(other);
-  const names = [D, run].map(nameOf), both = `Left of the line ${names[0]}, right ${names[1]}`;
+  const names = [nameOf(D), other.name], exactly = of => truth ? `${offPercent(of)} % of rays off` : "";
   $("title").textContent = names.join(" against ");
-  $("facts").textContent = truth ? `Off by more than 1 % of the range swept: ${names.map((name, i) => `${name} ${offPercent(i ? k => other.inverse[k] : inverse)} %`).join(", ")}` : "";
-  $("sides").hidden = false;
-  showSides = () => { $("sidesWords").textContent = outside() ? `${names[0]}; ${names[1]} has no points or surfaces here` : both; };
+  $("facts").textContent = truth ? "Off: wrong by more than 1 % of the range swept" : "";
+  [["left", names[0], inverse, ours()], ["right", names[1], k => other.inverse[k], made]].forEach(([side, name, of, when]) =>
+    $(side).replaceChildren(...[["b", name], ["span", exactly(of)], ["span", when]].map(([kind, textContent]) => Object.assign(document.createElement(kind), { textContent }))));
+  $("doubtWords").textContent = "doubtful";
   $("layer").append(new Option("difference", "apart"));
   $("layers").hidden = false;
   $("mix").dataset.first = $("mix").value = 100;
@@ -396,7 +411,9 @@ async function showBeside(run) {
   showWords();
   draw();
 }
-let showSides = () => {};
+const timeOf = date => date.toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" });
+// The folder and the time of this page, which has neither within another.
+const ours = () => location.protocol === "about:" ? "" : [decodeURI(location.pathname).split("/").at(-2), timeOf(new Date(document.lastModified))].filter(Boolean).join(", ");
 // Of the rays whose exact depth is known, how many are off by more than 1 % of the spheres.
 function offPercent(of) {
   const known = [...truth.keys()].filter(k => truth[k] && of(k) >= 0);
@@ -408,7 +425,7 @@ const otherWords = k => other.inverse[k] < 0 ? "has no depth" : metres(1 / other
 $("beside").querySelector("input").onchange = async event => {
   try {
     const page = new DOMParser().parseFromString(await event.target.files[0].text(), "text/html");
-    await showBeside(JSON.parse(page.getElementById("data").textContent));
+    await showBeside(JSON.parse(page.getElementById("data").textContent), timeOf(new Date(event.target.files[0].lastModified)));
   } catch {
     event.target.value = "";
     $("readout").textContent = "That is not the index.html of another run.";
@@ -420,7 +437,7 @@ $("beside").querySelector("input").onchange = async event => {
 // Out of the rig, once around what it has seen, and back; t from 0 to 1.
 function flyTo(t) {
   const out = (1 - Math.cos(2 * Math.PI * t)) / 2;
-  Object.assign(view, { turn: 2 * Math.PI * t, tilt: 0.5 * out, distance: start.distance * (0.02 + 0.7 * out) });
+  Object.assign(view, { turn: 2 * Math.PI * t, tilt: 0.5 * out, distance: start.distance * (0.02 + 1.4 * out) });
   moving();
 }
 
@@ -482,8 +499,10 @@ function showWords() {
   const mixed = +$("mix").value, odds = ODDS[$("least").value];
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
   const share = trust.reduce((count, value) => count + (value >= leastTrust()), 0) / trust.length;
-  showSides();
-  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful (grey): none";
+  $("leastWords").textContent = odds ? `${Math.round(100 * share)} % left, right ${odds} in 10` : "hide doubtful: none";
+  $("grey").hidden = !D.trust || !outside() && mixed === 0;
+  $("hatched").hidden = !(odds || mode() === "surfaces");
+  $("hatched").lastChild.textContent = odds ? mode() === "surfaces" ? "hidden or not seen" : "hidden" : "not seen by any camera";
 }
 
 // The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
@@ -511,12 +530,11 @@ $("layer").onchange = () => {
   showScale();
   draw();
 };
-dark.onchange = draw;
 document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = () => { $("hint").hidden = true; mixAnew(); }; });
 
 let ticks, labels;
 function showScale() {
-  ticks = ["error", "apart"].includes($("layer").value) ? [[0, "0 %"], [0.5, "5 %"], [1, "10 % of the spheres"]] : D.ticks;
+  ticks = ["error", "apart"].includes($("layer").value) ? [[0, "0"], [1, "10 % of spheres"]] : D.ticks;
   $("scale").querySelectorAll("span").forEach(label => label.remove());
   labels = ticks.map(([, text]) => Object.assign(document.createElement("span"), { textContent: text }));
   $("scale").append(...labels);
@@ -583,13 +601,14 @@ function showPictureOnly() {
 
 (async () => {
   $("title").textContent = D.title;
+  if (PRESS === "Tap") $("hint").firstChild.textContent = "Drag to look around, pinch to zoom.";
   $("hint").lastChild.textContent = `${PRESS} a place: why is it that far away?`;
   $("layers").hidden = !D.truth;
   if (!D.truth) for (const name of ["truth", "error"]) $("layer").querySelector(`[value=${name}]`).remove();
   $("sure").hidden = !D.trust;
   $("least").max = ODDS.length - 1;
   await unpackRays();
-  if (D.trust) $("facts").textContent = `${Math.round(100 * trust.filter(percent => percent < D.doubtful).length / trust.length)} % of rays are doubtful: grey`;
+  $("doubtWords").textContent = `doubtful: ${Math.round(100 * trust.filter(percent => percent < D.doubtful).length / trust.length)} %`;
   const picture = new Image();
   picture.src = D.picture;
   await picture.decode();
@@ -599,7 +618,7 @@ function showPictureOnly() {
   renderer = makeRenderer(canvas, picture, makeMesh(known));
   if (!renderer) return showPictureOnly();
   const near = Float32Array.from([...steps.keys()].filter(k => known(k) && inverse(k) * D.maxDepth >= 1), k => 1 / inverse(k)).sort();
-  view.distance = start.distance = 2 * (near[Math.floor(0.6 * near.length)] || 1);
+  view.distance = start.distance = (near[Math.floor(0.6 * near.length)] || 1);
   readState();
   paintScale();
   showScale();
