@@ -194,7 +194,8 @@ def turned(
     count = 1 + math.ceil(float(np.linalg.norm(np.degrees(turn))) * camera.pixels_per_degree)
     for share in (np.arange(count) + 0.5) / count - 0.5:
         uv, inside = camera.project(rays @ rotation_from_axis_angle(share * turn).T)
-        moved = cv2.remap(still, uv.astype(np.float32), None, cv2.INTER_LINEAR)
+        x, y = uv.astype(np.float32).transpose(2, 0, 1)
+        moved = cv2.remap(still, x, y, cv2.INTER_LINEAR)
         moments.append(np.where(inside, moved, gray))
     return np.mean(moments, 0)
 
