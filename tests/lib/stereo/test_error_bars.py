@@ -11,6 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.geometry.rig import Deviation
 from omnistereo_lib.geometry.sensitivity import calibration_deviation, inverse_depth_shifts
 from omnistereo_lib.stereo.error_bars import WITHIN, distribution, distribution_by_torch
+from omnistereo_lib.stereo.kernels.distribution_numba import exp_of_minus
 
 GRID = osl.SphereGrid(160, 40, num_spheres=96, min_depth=1.65)
 
@@ -28,6 +29,12 @@ def test_the_compiled_distribution_is_the_plain_one(temperature, spheres):
     known = np.isfinite(index.numpy())
     np.testing.assert_allclose(found[:, known], plain[:, known], rtol=1e-4, atol=1e-4)
     assert np.isnan(found[:, ~known]).all()
+
+
+def test_the_exponential_is_that_of_numpy():
+    x = np.linspace(0, 15, 30_001, dtype=np.float32)
+    found = np.array([exp_of_minus(one) for one in x])
+    np.testing.assert_allclose(found, np.exp(-x.astype(float)), rtol=1.1e-5)
 
 
 def test_a_distribution_of_two_spikes():
