@@ -1,5 +1,4 @@
-"""Other camera models against formulas written out for one ray, against OpenCV, and as OCam
-cameras."""
+"""Other camera models against formulas for one ray, against OpenCV, and as OCam cameras."""
 
 from functools import partial
 from math import acos, asin, degrees, hypot, sqrt
