@@ -284,7 +284,7 @@ def _play(
                 gains = estimate_gains(depth)
             now = time.monotonic()
             note = (
-                f"{method.name}: {1 / (now - before):.1f} frames/s, median"
+                f"{method.label}: {1 / (now - before):.1f} frames/s, median"
                 f" {metres(np.nanmedian(depth.depth))}"
             )
             before = now

@@ -23,7 +23,7 @@ FILM = 1920, 1080  # px, of a frame of a film: width, height
 _SHARP = 1280  # px, about, of the panorama that the surfaces in it have their colours from
 _STRIP_PX = 44  # height of the note and the scale below the panoramas
 AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
-_INK = (0xE8,) * 3
+_INK, _STRIPE = (0xE8,) * 3, 0x38
 
 
 _GPANO = (
@@ -83,9 +83,9 @@ def draw_frame(
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     eye = around(AWAY * depth.grid.min_depth, turn, _TILT)
     view = draw_surfaces(depth, panorama, doubts, eye, (FILM[0], panes(depth.grid)[0]))
-    return compose(
-        view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: no depth, dark: not seen"
-    )
+    rows, columns = np.ogrid[: view.shape[0], : view.shape[1]]
+    view[((rows + columns) % 16 < 3) & (view == BACKGROUND).all(-1)] = _STRIPE
+    return compose(view, panorama, colors, scale, f"{note}. Faded: doubtful, striped: not seen")
 
 
 def panes(grid: SphereGrid) -> tuple[int, int]:
@@ -111,7 +111,7 @@ def compose(
     strip = np.full((_STRIP_PX, FILM[0], 3), BACKGROUND, np.uint8)
     strip[4:18, half:] = cv2.resize(scale.bar(256), (half, 14), interpolation=cv2.INTER_LINEAR)
     for at, label in scale.ticks():
-        _write(strip, label, (half + int(np.clip(at * half - 16, 4, half - 76)), _STRIP_PX - 6))
+        _write(strip, label, (half + int(np.clip(at * half - 20, 4, half - 84)), _STRIP_PX - 4))
     _write(strip, note, (12, _STRIP_PX - 15))
     return np.vstack([view, np.hstack(pair), strip])
 
@@ -147,4 +147,4 @@ def finer(depth: Depth, width: int) -> int:
 
 
 def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
-    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 20, 400)
+    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 26, 400)

@@ -182,7 +182,7 @@ def test_on_a_telephone_the_panoramas_lie_below_each_other_and_are_tapped(pictur
         assert box["width"] == 390 and box["y"] + box["height"] < 844
         row, column, scale = 17, 40, 390 / 960
         for part in (0, 1):  # the panorama, the depth below it
-            y = top + (part + (row + 0.5) / GRID.height) * height
+            y = top * 4 / 3 + (part + (row + 0.5) / GRID.height) * height
             x = (column + 0.5) / GRID.width * 960
             page.touchscreen.tap(box["x"] + scale * x, box["y"] + scale * y)
             told = f"{depth.depth[row, column]:.2f} m along the ray"
