@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.error_bars import WITHIN
@@ -15,6 +13,7 @@ from omnistereo_tools.output.mesh_export import is_connected
 DOUBTFUL = 0.5  # trust below which a depth is about as likely wrong as right
 _AROUND = 5  # rays
 _LOOKED_AT = 16  # spheres, where a ray is looked up in the cameras: their views end smoothly
+_PARTS = 32
 _FLOATING_SIZE, _FLOATING_TRUST = 0.01, 0.7  # of all rays; mean
 _ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
 
@@ -62,11 +61,11 @@ def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:
 
 def _nearest_unseen(sweep: SphereSweep) -> NDArray[np.float64]:
     """Return the nearest sphere on which fewer than two cameras see a ray, or -1, (H, W)."""
-    rays, nearest = sweep.grid.rays(), np.full(sweep.grid.shape, -1.0)
-    for n in np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT):
-        seen = sweep.rig.sees(rays, sweep.grid.index_to_inverse_depth(n)).sum(0)
-        nearest = np.where(seen < 2, n, nearest)
-    return nearest
+    grid, spheres = sweep.grid, np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT)
+    depths = grid.index_to_inverse_depth(spheres)[:, None, None]
+    # Some rows at a time, which stay in the cache of a core.
+    seen = [sweep.rig.sees(rows, depths).sum(0) for rows in np.array_split(grid.rays(), _PARTS)]
+    return np.where(np.hstack(seen) < 2, spheres[:, None, None], -1.0).max(0)
 
 
 def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -88,10 +87,8 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
         for first, second in zip(across, down, strict=True)
     )
     connected = is_connected(np.stack([depths[a], depths[b]]), np.stack([index[a], index[b]]))
-    links = coo_array(
-        (connected[connected], (a[connected], b[connected])), (found.size, found.size)
-    )
-    count, thing = connected_components(links, directed=False)
+    thing = _things(*np.split(connected, [found.size]), found.shape).ravel()
+    count = thing.max() + 1
     edge = thing[a] != thing[b]
     ahead = index[a[edge]] > index[b[edge]]  # False beside an unknown ray
     before, behind = np.where(ahead, a[edge], b[edge]), np.where(ahead, b[edge], a[edge])
@@ -101,6 +98,27 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
         np.bincount(thing, found.ravel()) < _FLOATING_TRUST * size
     )
     return (small & (in_front > _ALL_AROUND * (in_front + hidden)))[thing].reshape(found.shape)
+
+
+def _things(
+    across: NDArray[np.bool_], down: NDArray[np.bool_], shape: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Return the number of the thing that each ray belongs to, (H, W), given which rays are
+    connected to the next one of their row, around the seam, and of their column.
+
+    SciPy's graphs would take longer to load than this takes.
+    """
+    # A picture of the rays at every second row and column, and of their links between them.
+    height, width = shape
+    lattice = np.zeros((2 * height, 2 * width), np.uint8)
+    lattice[::2, ::2], lattice[::2, 1::2] = 1, across.reshape(shape)
+    lattice[1:-1:2, ::2] = down.reshape(height - 1, width)
+    labels = cv2.connectedComponents(lattice, connectivity=4)[1]
+    # OpenCV knows no seam: links in the last column are joined to the first one.
+    names, (rows,) = np.arange(labels.max() + 1), np.nonzero(lattice[:, -1])
+    for last, first in {*zip(labels[rows, -1].tolist(), labels[rows, 0].tolist(), strict=True)}:
+        names[names == names[last]] = names[first]
+    return names[labels[::2, ::2]].astype(np.int32)
 
 
 def _is_lit(depth: Depth) -> NDArray[np.bool_]:
