@@ -1,6 +1,7 @@
 """`omnistereo COMMAND` and `python -m omnistereo_tools COMMAND`."""
 
 import gc
+import os
 import signal
 
 
@@ -9,6 +10,9 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
+    # Threads of torch that wait for work let others have the core, where they would turn round and
+    # round: `depth` beside a dozen busy processes took 36 s, and 141 without it.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from omnistereo_tools.cli import main
     from omnistereo_tools.memory import keep_memory
 
