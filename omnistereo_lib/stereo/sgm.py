@@ -2,8 +2,7 @@
 
 A cost volume states how badly each sphere n fits each ray p, independently of the other rays.
 Neighbouring rays mostly see the same surface, so SGM follows straight paths r over the panorama,
-and every pixel passes on the costs that were collected along the path (paper, Section III-B and
-IV)::
+and every pixel passes on the costs collected along the path (paper, Section III-B and IV)::
 
     L_r(p, n) = C(p, n) + min(L_r(p−r, n), L_r(p−r, n±1) + P1, min_k L_r(p−r, k) + P2) − min_k
     L_r(p−r, k)
@@ -14,9 +13,8 @@ the right-hand side as C(p, n) + M(n), where M is the *message* from p−r: 0 at
 most P2. A path starts with M = 0.
 
 An unknown cell (NaN) has no data term. In the recurrence it takes the mean cost of the known cells
-of its ray: it is then neither better nor worse than the other spheres, and the messages decide. A
-ray without known cells is like one of constant cost. Unknown cells are NaN in S and so never the
-best sphere.
+of its ray: it is neither better nor worse than the other spheres, and the messages decide. A ray
+without known cells is like one of constant cost. Unknown cells are NaN in S, never the best sphere.
 """
 
 from numbers import Real
