@@ -19,10 +19,12 @@ from omnistereo_tools.output.pictures import AWAY
 from omnistereo_tools.output.render import around, draw_surfaces
 
 _WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
-_LEFT, _RIGHT = 1040, 580  # px, of pictures in the two columns
-_TEXT, _NAME, _TITLE = 22, 24, 38  # px, of letters
-_DEGREES = 70  # px, of degrees beside a panorama
-_LETTERS = 50  # of a line of a note
+_LEFT, _RIGHT = 1010, 580  # px, of pictures in the two columns
+# px, of letters: the verdict and the notes are legible 390 px wide, where they are 14 and 8 px
+_TEXT, _NAME, _NOTE, _TITLE = 28, 36, 38, 64
+_DEGREES = 100  # px, of degrees beside a panorama
+_LETTERS = {_NOTE: 84, _TITLE: 50}  # of a line
+_HEAD = 50  # px, from the name of a picture to it
 _FROM = 0.35, 0.4  # turn and tilt of the eye, radians
 
 
@@ -43,34 +45,37 @@ def draw_overview(
         notes: The verdict, which is the heading, and sentences.
     """
     page, scale, phi_deg = _Page(), ColorScale.of(depth.inverse_depth), depth.grid.phi_deg
-    page.write((_GAP, 24), notes[0], "la", _TITLE)
-    page.write((_GAP, 70), title, "la", _NAME)
+    row = page.write((_GAP, 24), fill(notes[0], _LETTERS[_TITLE]), "la", _TITLE)
+    top = page.write((_GAP, row + 12), title, "la", _NAME) + 24
     # Left: panorama, depth, and the colours of the depth.
-    left, row = _GAP + _DEGREES, 120
+    left = _GAP + _DEGREES
     row = page.panorama(
-        panorama, (left, row), _LEFT, phi_deg, "What the cameras see", cv2.INTER_AREA
+        panorama, (left, top), _LEFT, phi_deg, "What the cameras see", cv2.INTER_AREA
     )
     colors = scale.colorize(depth.inverse_depth, trust < DOUBTFUL)
-    name = "Depth along the ray; faded: doubtful, striped: unknown"
+    name = "Depth along the ray (faded: doubtful, striped: unknown)"
     row = page.panorama(colors, (left, row), _LEFT, phi_deg, name)
     page.paste(np.repeat(scale.bar(_LEFT), 16, 0), (left, row))
     for place, label in scale.ticks():
         page.write((left + place * _LEFT, row + 22), label, "mt")
-    bottom = row + 60
-    # Right: the surfaces, trust and notes.
-    right, row = _WIDTH - _GAP - _RIGHT, 120
-    page.write((right, row), "Surfaces, from above and behind", "la", _NAME)
-    size = _RIGHT, round(0.62 * _RIGHT)
-    twice, eye = (2 * _RIGHT, 2 * size[1]), around(AWAY * depth.grid.min_depth, *_FROM)
-    view = draw_surfaces(depth, panorama, trust < DOUBTFUL, eye, twice)
+    bottom = row + 80
+    # Right: the surfaces, as high as the rest leaves room for, and trust.
+    right, row = _WIDTH - _GAP - _RIGHT, top
+    page.write((right, row), "Surfaces, from above", "la", _NAME)
+    low = round(_RIGHT * (phi_deg[1] - phi_deg[0]) / 360)
+    size = _RIGHT, max(_RIGHT // 2, bottom - top - low - 2 * _HEAD - 60)
+    larger = round(1.5 * _RIGHT), round(1.5 * size[1])
+    eye = around(AWAY * depth.grid.min_depth, *_FROM)
+    view = draw_surfaces(depth, panorama, trust < DOUBTFUL, eye, larger)
     small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
-    page.paste(small, (right, row + 34))
-    row += 34 + size[1] + 20
+    page.paste(small, (right, row + _HEAD))
+    row += _HEAD + size[1] + 20
     gray = np.repeat((255 * np.nan_to_num(trust)).astype(np.uint8)[..., None], 3, -1)
-    name = f"How likely the depth is right; below {DOUBTFUL:g} doubtful"
+    name = f"Likely right (below {DOUBTFUL:g}: doubtful)"
     row = page.panorama(gray, (right, row), _RIGHT, phi_deg, name, degrees=False)
-    text = "\n\n".join(fill(note, _LETTERS) for note in notes[1:])
-    return page.cut(max(bottom, page.write((right, row), text, "la") + 20))
+    # Below both: the notes.
+    text = fill(" ".join(notes[1:]), _LETTERS[_NOTE])
+    return page.cut(page.write((_GAP, max(bottom, row)), text, "la", _NOTE) + 30)
 
 
 class _Page:
@@ -103,7 +108,7 @@ class _Page:
         """Paste a panorama of some width below its name, with degrees; return the row below."""
         (left, top), (first, last) = corner, phi_deg
         self.write((left, top), name, "la", _NAME)
-        scale, top = width / 360, top + 34  # px per degree
+        scale, top = width / 360, top + _HEAD  # px per degree
         height = max(1, round(scale * (last - first)))
         fitted = cv2.resize(pixels, (width, height), interpolation=resize)
         self.paste(fitted.astype(np.uint8), (left, top))
@@ -115,7 +120,7 @@ class _Page:
             # The first one begins at the edge: beside it may be the lowest elevation.
             anchor = {-180: "lt", 180: "rt"}.get(azimuth, "mt")
             self.write((left + scale * (azimuth + 180), top + height + 6), f"{azimuth}°", anchor)
-        return top + height + 50
+        return top + height + 60
 
     def write(self, place: tuple[float, float], text: str, anchor: str, size: int = _TEXT) -> int:
         """Write text at a place, which is at its `anchor` (see Pillow); return the row below it."""
