@@ -21,7 +21,7 @@ _FEW_CORNERS = 10  # in a ring
 FEW_VIEWS = 10
 _OFF_CENTER = 0.1  # of the image side
 _NOT_SQUARE = 0.02
-_LARGE_PX = 1.0
+_LARGE_PX = 0.8  # rms in u and v
 
 
 @dataclass(frozen=True)
@@ -143,24 +143,22 @@ class CameraReport(_Report):
 
     def text(self, names: Sequence[str] | None = None) -> str:
         """Return the report as text; `names` are what the views are called, not their indices."""
-        e = self.errors
         lines = [
             (
                 f"{self.name}: {len(self.views_used)} views, {len(self.inlier_residuals())}"
                 f" corners, polynomial of degree {self.degree}, up to"
                 f" {self.max_corner_angle_deg:.0f}° from the axis"
             ),
-            (
-                f"  error: {e.rms_px:.3f} px rms in u and v, {e.rms_distance_px:.3f} px rms"
-                f" distance, {e.mean_px:.3f} px mean distance"
-            ),
+            f"  error: {self.rms_px:.3f} px rms in u and v",
         ]
         if self.cv_error_px:
-            table = ", ".join(f"degree {d}: {px:.3f} px" for d, px in self.cv_error_px.items())
-            lines.append(f"  mean distance on held-out views: {table}")
+            errors = dict(self.cv_error_px)
+            chosen = errors.pop(self.degree)
+            others = ", ".join(f"degree {d}: {px / chosen:.3f}" for d, px in errors.items())
+            lines.append(f"  on held-out views, relative to degree {self.degree}: {others}")
         of_rings = self.errors_by_angle()
-        rings = (f"{low}-{low + _RING_DEG}°: {e.mean_px:.3f} ({n})" for low, n, e in of_rings)
-        lines.append(f"  mean distance in px by angle (corners): {', '.join(rings)}")
+        rings = (f"{low}-{low + _RING_DEG}°: {e.rms_px:.3f} ({n})" for low, n, e in of_rings)
+        lines.append(f"  error by angle (corners): {', '.join(rings)}")
         lines += [f"  {line}" for line in _rejections(self.rejected, "view", names)]
         if self.outliers:
             worst = ", ".join(
@@ -214,9 +212,9 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
             f"pixels are {camera.affine[0]:.3f} times as high as wide. Check that the images were"
             " not resized by different factors and that the squares of the board are square"
         )
-    if report.mean_px > _LARGE_PX:
+    if report.rms_px > _LARGE_PX:
         yield (
-            f"the mean error of {report.mean_px:.2f} px is large. Check that the board is flat and"
+            f"the error of {report.rms_px:.2f} px rms is large. Check that the board is flat and"
             " all images are from one camera with fixed focus and zoom"
         )
 
@@ -256,10 +254,9 @@ class RigReport(_Report):
 
     def text(self, names: Sequence[str] | None = None) -> str:
         """Return the report as text; `names` are what captures are called, not their indices."""
-        e = self.errors
         lines = [
-            f"rig: {len(self.joint)} cameras, {len(self.captures_used)} captures, {e.rms_px:.3f} px"
-            f" rms in u and v, {e.mean_px:.3f} px mean distance"
+            f"rig: {len(self.joint)} cameras, {len(self.captures_used)} captures,"
+            f" {self.rms_px:.3f} px rms in u and v"
         ]
         for number, (camera, single, (angle, shift)) in enumerate(
             zip(self.joint, self.single_camera, self.pose_uncertainty(), strict=True), start=1

@@ -164,9 +164,8 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     written += ["report.txt", "report_*.png", *["corners_*.yaml"] * with_corners, PROVENANCE]
     # The verdict first, the next command last; all numbers are in the report.
     warn_of(warned)
-    print(
-        f"Fair: {warned[0].partition('. ')[0]}; the {known}." if warned else f"Good: the {known}."
-    )
+    flaw = warned[0].partition(". ")[0] if warned else "parts of the images lack corners"
+    print(f"Fair: {flaw}; the {known}." if warned or next_places else f"Good: the {known}.")
     left_out = {k: why for one in reports for k, why in one.rejected.items()}
     if left_out:
         first = min(left_out)

@@ -6,7 +6,12 @@ import numpy as np
 import scene
 from matplotlib.figure import Figure
 
-from omnistereo_tools.output.calibration_figures import draw_coverage, uncovered, where_next
+from omnistereo_tools.output.calibration_figures import (
+    draw_coverage,
+    uncovered,
+    verdict,
+    where_next,
+)
 
 CAMERA = scene.camera(width=200, height=192)
 
@@ -22,12 +27,27 @@ def seen(keep):
     report = SimpleNamespace(views_used=[0], corners={0: pixels[chosen]}, angles={0: theta[chosen]})
     report.max_corner_angle_deg = 109.0
     report.intrinsics = SimpleNamespace(image_size=(200, 192), camera=lambda _: CAMERA)
+    report.rms_px, report.warnings = 0.07, ()
     return report
 
 
 def test_nothing_is_asked_for_where_all_was_seen():
     report = seen(lambda angle, _: angle >= 0)
     assert uncovered(report, CAMERA) == [] and where_next(report, CAMERA) == ""
+    assert verdict(report, CAMERA, "cam1") == [
+        "cam1: Good: 0.07 px rms, corners up to 109° of 110°",
+        "corners in all parts",
+    ]
+
+
+def test_a_wide_field_with_a_hole_in_the_centre_is_not_covered():
+    report = seen(lambda angle, _: angle > 20)
+    assert where_next(report, CAMERA) == "in the centre"
+    first, todo = verdict(report, CAMERA, "cam1")
+    assert first.startswith("cam1: Fair") and todo == "hold the board next where it is shaded"
+    # a few corners at one end of it do not fill it
+    few = seen(lambda angle, azimuth: (angle > 20) | ((angle > 15) & (azimuth < 15)))
+    assert where_next(few, CAMERA) == "in the centre"
 
 
 def test_the_parts_without_corners_are_named_and_drawn():
