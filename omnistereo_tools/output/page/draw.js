@@ -58,11 +58,12 @@ vec3 inColors(float value) {
 }
 
 // The colour of a place, in rays, and how much of it is shown, given the picture there: doubtful parts fade.
-vec4 shade(vec2 at, vec3 seen, bool fades) {
+vec4 shade(vec2 at, vec3 picked, bool fades) {
+  vec3 seen = fades ? pow(picked, vec3(0.8)) : picked;  // shadows, as in render.py
   vec2 both = texture(trusts, at / size).rg;
   float trust = BESIDE ? both.y : both.x, doubt = 1.0 - smoothstep(doubtful - 0.1, doubtful + 0.1, trust);
 #ifdef MIXED
-  vec3 found = surfaces(at, LAYER == 1, seen);
+  vec3 found = surfaces(at, LAYER == 1, picked);
   vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
   // Half blended, the picture keeps most of its light: what is far is dark in the colours of depth.
   seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(dot(depth, vec3(0.3, 0.6, 0.1))), 0.85 * doubt) * mixed, 1.0);

@@ -30,27 +30,39 @@ const radiansPerRow = (D.phi[1] - D.phi[0]) / D.height;
 const CAP = 25 * Math.PI / 180, AROUND = 7 * Math.PI / 180;  // around a pole; around a ray
 
 // The inverse depths that are drawn. Around the poles many rays see one place: those that are trusted least, which make
-// spikes in the ground below the rig, are drawn at the mean of the others. What is told and saved is the estimate.
+// spikes in the ground below the rig, are drawn at the mean of the others. What is told, and saved as points or depth, is the estimate.
 function levelled() {
-  const found = Float64Array.from(steps, (_, k) => inverse(k)), rows = Math.round(AROUND / radiansPerRow);
+  const found = Float64Array.from(steps, (_, k) => inverse(k)), reach = Math.round(AROUND / radiansPerRow);
   const wide = row => Math.cos(D.phi[0] + (row + 0.5) * radiansPerRow);  // a ray, in heights of a row
   // Of the rays of a row around each: the sums of weights, and of weighted inverse depths.
-  const sumsOf = row => Array.from({ length: D.width }, (_, column) => {
-    const reach = Math.min(D.width / 4, Math.round(rows / wide(row))), sums = [0, 0];
-    for (let i = -reach; i <= reach; i++) {
-      const k = row * D.width + (column + i + D.width) % D.width, weight = found[k] >= 0 ? (trust[k] / 100) ** 6 * wide(row) / (2 * reach + 1) : 0;
-      sums[0] += weight;
-      sums[1] += weight && weight * found[k];
-    }
-    return sums;
+  const sums = Array.from({ length: D.height }, (_, row) => {
+    if (wide(row) > Math.sin(CAP + AROUND)) return null;
+    const rays = found.subarray(row * D.width, (row + 1) * D.width), most = Math.min(D.width / 4, Math.round(reach / wide(row)));
+    const weights = rays.map((value, x) => value >= 0 ? (trust[row * D.width + x] / 100) ** 6 * wide(row) / (2 * most + 1) : 0);
+    return [weights, weights.map((weight, column) => weight && weight * rays[column])].map(values => sumsAround(values, most));
   });
-  const sums = Array.from({ length: D.height }, (_, row) => wide(row) < Math.sin(CAP + AROUND) ? sumsOf(row) : null);
   return found.map((value, k) => {
     const row = Math.floor(k / D.width), share = clamp((95 - trust[k]) / 15, 0, 1);
     if (!share || wide(row) > Math.sin(CAP)) return value;
-    const around = sums.slice(Math.max(0, row - rows), row + rows + 1).map(those => those[k % D.width]);
-    const [weight, sum] = [0, 1].map(i => around.reduce((total, both) => total + both[i], 0));
-    return weight ? value + share * (sum / weight - value) : value;
+    let [weight, sum] = [0, 0];
+    for (let y = Math.max(0, row - reach); y <= Math.min(D.height - 1, row + reach); y++) {
+      weight += sums[y][0][k % D.width];
+      sum += sums[y][1][k % D.width];
+    }
+    return weight > 1e-9 ? value + share * (sum / weight - value) : value;
+  });
+}
+
+// The sums of the values of a circle that are within a reach of each.
+function sumsAround(values, reach) {
+  const n = values.length;
+  let sum = 0;
+  for (let i = -reach; i < reach; i++) sum += values.at(i);
+  return values.map((_, i) => {
+    sum += values[(i + reach) % n];
+    const now = sum;
+    sum -= values.at(i - reach);
+    return now;
   });
 }
 
@@ -85,21 +97,10 @@ function secondWords(k) {
   return `or ${metres(1 / other)}${apart < 1e6 ? `, ${oneDigit(apart)} ${other < inverse(k) ? "behind" : "before"} it` : ""}`;
 }
 
-// Where nineteen of twenty such rays end: [nearest, farthest]; nothing without error bars.
+// Where nineteen of twenty such rays end; nothing without error bars.
 function rangeOf(k) {
-  const q = inverse(k), b = bound(k);
-  return Number.isNaN(b) ? [] : [metres(1 / (q + b)).replace(" m", ""), q - b > 1e-6 ? metres(1 / (q - b)).replace(" m", "") : ""];
-}
-
-// A depth with that range; a second one where the depth may be either.
-function withRange(k) {
-  const [near, far] = rangeOf(k), depth = metres(1 / inverse(k));
-  return depth + (near ? far ? ` (${near} to ${far})` : ` (${near} or more)` : "");
-}
-
-function boundWords(k) {
-  const [near, far] = rangeOf(k);
-  return near ? `95 % of such rays: ${far ? `${near} to ${far} m` : `${near} m or more`}` : "";
+  const q = inverse(k), b = bound(k), near = metres(1 / (q + b));
+  return Number.isNaN(b) ? "" : q - b > 1e-6 ? `${near.replace(" m", "")} to ${metres(1 / (q - b))}` : `${near} or more`;
 }
 
 // The distance between the ends of two rays, and its standard deviation: that of depth d is d² times that of 1 / d, and

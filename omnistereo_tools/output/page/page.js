@@ -160,7 +160,7 @@ function distanceWords() {
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
   $("readout").textContent = k < 0 ? (outside() ? "not seen by any camera" : "") : !steps[k] ? "no depth here"
-    : withRange(k) + (other ? `, ${other.name} ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
+    : metres(1 / inverse(k)) + (rangeOf(k) && ` (${rangeOf(k)})`) + (other ? `, ${other.name} ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
 // --- Why a ray has its depth -----------------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ function showWhy(k) {
   why = explain(k);
   $("why").hidden = false;
   $("sentence").textContent = (other ? `${nameOf(D)}: ` : "") + sentenceOf(why);
-  $("bar").textContent = [boundWords(k), secondWords(k)].filter(Boolean).join("; ");
+  $("bar").textContent = [rangeOf(k) && `95 % of such rays: ${rangeOf(k)}`, secondWords(k)].filter(Boolean).join("; ");
   $("exactKey").hidden = !(truth && truth[k]);
   $("tilt").textContent = tiltWords(why);
   $("along").max = D.spheres - 1;
