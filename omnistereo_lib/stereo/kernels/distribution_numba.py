@@ -21,8 +21,8 @@ _EXP = tuple(
 def distribution(volume: Tensor, index: Tensor, temperature: float, radius: float) -> Tensor:
     """Return `error_bars.distribution_by_torch` of float32 costs (H, W, N): (5, H, W)."""
     out = np.empty((5, *volume.shape[:2]), np.float32)
-    costs, numbers = volume.contiguous().numpy(), (np.float32(temperature), np.float32(radius))
-    _read_rays(costs, index.numpy(), *numbers, out)
+    T, reach = np.float32(temperature), np.float32(radius)
+    _read_rays(volume.contiguous().numpy(), index.numpy(), T, reach, out)
     return torch.from_numpy(out)
 
 
@@ -43,7 +43,11 @@ def exp_of_minus(x: float) -> Any:
 
 @compiled(nogil=True, error_model="numpy", fastmath=_FAST)
 def _read_rays(
-    volume: NDArray[Any], index: NDArray[Any], temperature: float, radius: float, out: NDArray[Any]
+    volume: NDArray[Any],
+    index: NDArray[Any],
+    temperature: np.float32,
+    radius: np.float32,
+    out: NDArray[Any],
 ) -> None:
     """Write spread, mass, spread inside, second mass and second index of rays to out (5, H, W)."""
     H, W, N = volume.shape
