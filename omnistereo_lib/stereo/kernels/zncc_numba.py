@@ -17,8 +17,8 @@ from omnistereo_lib.stereo.kernels.compiled import compiled
 
 # Spheres side by side, as many as a block of the sweep has.
 _LANES = 16
-# Columns at a time: the sums over their windows stay in the cache.
-_PIECE = 64
+# Columns at a time: the sums over their windows stay in the cache of a core.
+_PIECE = 256
 
 
 def mean_costs(
@@ -139,16 +139,19 @@ def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray
         t, first = t + n, 0
 
 
-@numba.njit
+@numba.njit(fastmath={"contract"})
 def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
     """Add a row of pixels, (weight, a, b), to the sums and remove another."""
-    # Each sum is that of a product of two of (weight, a, b): 1 = w · w, a = w · a, …, ab = a · b.
-    for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
+    f8 = np.float64
+    for q in range(3):
+        total, p, p_old = sums[q], new[q], old[q]
+        for t in range(len(total)):
+            total[t] += f8(p[t]) - f8(p_old[t])
+    # a², b² and ab; all are 0 where the weight is.
+    for q, i, j in ((3, 1, 1), (4, 2, 2), (5, 1, 2)):
         total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
         for t in range(len(total)):
-            total[t] += np.float64(p[t]) * np.float64(r[t]) - np.float64(p_old[t]) * np.float64(
-                r_old[t]
-            )
+            total[t] += f8(p[t]) * f8(r[t]) - f8(p_old[t]) * f8(r_old[t])
 
 
 @numba.njit
@@ -167,7 +170,7 @@ def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
             box[q, t + _LANES] = box[q, t] + (ahead - behind)
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(error_model="numpy", fastmath={"contract"})
 def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
     """Compute weight and weighted cost (1 - ZNCC)/2; 0.5 where flat (paper, Section IV)."""
     half, one = np.float32(0.5), np.float32(1)

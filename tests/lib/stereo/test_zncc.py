@@ -59,7 +59,7 @@ def test_windows_must_fit_the_panorama():
 
 
 def test_more_spheres_rows_and_columns_than_are_computed_at_a_time():
-    images = torch.from_numpy(block("partly visible", cameras=2, B=18, H=43, W=150))
+    images = torch.from_numpy(block("partly visible", cameras=2, B=18, H=43, W=300))
     expected = in_float64(images, [(0, 1)], 9)
     threads = torch.get_num_threads()
     try:
