@@ -10,9 +10,9 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
-    # Threads of torch that wait for work let others have the core, where they would turn round and
-    # round: `depth` beside a dozen busy processes took 36 s, and 141 without it.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # A thread of torch that waits for the next piece of work gives its core away after 0.1 ms or so,
+    # not after 30 times as long: beside 15 busy processes `depth` took 56 s, and 132 without.
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     from omnistereo_tools.cli import main
     from omnistereo_tools.memory import keep_memory
 

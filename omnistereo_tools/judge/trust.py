@@ -87,7 +87,8 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
         for first, second in zip(across, down, strict=True)
     )
     connected = is_connected(np.stack([depths[a], depths[b]]), np.stack([index[a], index[b]]))
-    thing = _things(*np.split(connected, [found.size]), found.shape).ravel()
+    links = connected[: found.size].reshape(found.shape), connected[found.size :]
+    thing = _things(*links).ravel()
     count = thing.max() + 1
     edge = thing[a] != thing[b]
     ahead = index[a[edge]] > index[b[edge]]  # False beside an unknown ray
@@ -100,18 +101,16 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (small & (in_front > _ALL_AROUND * (in_front + hidden)))[thing].reshape(found.shape)
 
 
-def _things(
-    across: NDArray[np.bool_], down: NDArray[np.bool_], shape: tuple[int, int]
-) -> NDArray[np.int32]:
+def _things(across: NDArray[np.bool_], down: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Return the number of the thing that each ray belongs to, (H, W), given which rays are
-    connected to the next one of their row, around the seam, and of their column.
+    connected to the next one of their row, around the seam, (H, W), and of their column.
 
     SciPy's graphs would take longer to load than this takes.
     """
     # A picture of the rays at every second row and column, and of their links between them.
-    height, width = shape
+    height, width = across.shape
     lattice = np.zeros((2 * height, 2 * width), np.uint8)
-    lattice[::2, ::2], lattice[::2, 1::2] = 1, across.reshape(shape)
+    lattice[::2, ::2], lattice[::2, 1::2] = 1, across
     lattice[1:-1:2, ::2] = down.reshape(height - 1, width)
     labels = cv2.connectedComponents(lattice, connectivity=4)[1]
     # OpenCV knows no seam: links in the last column are joined to the first one.
