@@ -77,7 +77,8 @@ class FeatureFinder:
                 nearest = (rays @ axis >= (rays @ axes.T).max(axis=-1) - 1e-12).astype(np.uint8)
                 # no edge of the image
                 inside = cv2.erode(valid.astype(np.uint8), np.ones((9, 9)), borderValue=0)
-                self.views.append((R, uv.astype(np.float32), inside & nearest))
+                if (inside & nearest).any():
+                    self.views.append((R, uv.astype(np.float32), inside & nearest))
 
     def find(self, image: NDArray[np.uint8]) -> Features:
         """Return the features of an image, (H, W[, 3]) uint8, each by its best view."""
@@ -132,15 +133,19 @@ def match_features(
         angles = (there @ b.rays.T).astype(np.float32)
         too_far = angles < np.cos(np.radians(_FARTHEST_DEG + band_deg))
         similar[off_plane | too_far] = -1.0
+    # The best match of the best match has to be where we came from, if not the same feature.
+    best, back = similar.argmax(axis=1), similar.argmax(axis=0)
+    limit = np.cos(np.radians(_SAME_DEG))
+    mutual = np.einsum("ki,ki->k", a.rays[back[best]], a.rays) > limit
+    first = np.flatnonzero(mutual)
+    similar, best = similar[first], best[first]
     # The second best among the next four: the others may be the same thing at another scale.
-    rows, back = np.arange(len(similar)), similar.argmax(axis=0)
+    rows = np.arange(len(first))
     candidates, values = np.zeros((len(rows), 5), np.int64), np.zeros((len(rows), 5), np.float32)
     for k in range(5):
-        candidates[:, k] = similar.argmax(axis=1)
+        candidates[:, k] = similar.argmax(axis=1) if k else best
         values[:, k] = similar[rows, candidates[:, k]]
         similar[rows, candidates[:, k]] = -2.0
-    best = candidates[:, 0]
-    limit = np.cos(np.radians(_SAME_DEG))
     same = np.einsum("kci,ki->kc", b.rays[candidates], b.rays[best]) > limit
     second = np.where(same, -1.0, values).max(axis=1)
     # Lowe's ratio test (2004), with the rival somewhere else.
@@ -148,13 +153,11 @@ def match_features(
         np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (values[:, 0], np.maximum(second, 0))
     )
     ratio = distance / np.maximum(rival, 1e-9)
-    # The best match of the best match has to be where we came from, if not the same feature.
-    mutual = np.einsum("ki,ki->k", a.rays[back[best]], a.rays) > limit
-    chosen = np.flatnonzero(mutual & (ratio < _RATIO) & (values[:, 0] > 0))
+    chosen = np.flatnonzero((ratio < _RATIO) & (values[:, 0] > 0))
     # One match for each feature of b.
     chosen = chosen[np.argsort(ratio[chosen], kind="stable")]
     chosen = chosen[np.unique(best[chosen], return_index=True)[1]]
-    return np.stack([chosen, best[chosen]], axis=1), ratio[chosen]
+    return np.stack([first[chosen], best[chosen]], axis=1), ratio[chosen]
 
 
 def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -> Ints:

@@ -3,7 +3,9 @@
 `find_pairs` needs no poses at all, `measure_rig` adjusts all cameras over all frames together.
 """
 
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -119,11 +121,12 @@ def find_features(
     cameras: Sequence[OcamCamera], images: Images, progress: Progress = silent
 ) -> list[list[Features]]:
     """Return the features of all images: features[frame][camera]."""
-    finders = [FeatureFinder(camera) for camera in cameras]
     step, found = counted(progress, len(images)), []
-    for number, row in enumerate(images, 1):
-        step(f"features of frame {number}")
-        found.append([finder.find(image) for finder, image in zip(finders, row, strict=True)])
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        finders = [*threads.map(FeatureFinder, cameras)]
+        for number, row in enumerate(images, 1):
+            step(f"features of frame {number}")
+            found.append([*threads.map(FeatureFinder.find, finders, row)])
     step("")
     return found
 

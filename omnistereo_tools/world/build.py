@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -205,11 +206,11 @@ class RecordedFrames:
 
     def holes_percent(self, volume: Volume, poses: dict[int, Pose]) -> float:
         """Return how many percent of what frames see within the range has no surface behind it, of
-        five frames along the path.
+        five frames along the path and one ray in four.
         """
-        rays, numbers, shares = self.grid.rays(), list(poses), []
+        rays, numbers, shares = self.grid.rays()[::2, ::2], list(poses), []
         for k in np.unique(np.linspace(0, len(numbers) - 1, 5).astype(int)):
-            near = self.data.frame(numbers[k]).inverse_depth > 1 / volume.reach
+            near = self.data.frame(numbers[k]).inverse_depth[::2, ::2] > 1 / volume.reach
             fused, _ = volume.march(poses[numbers[k]], rays, _FARTHEST * volume.reach)
             shares.append(np.isnan(fused[near]).mean() if near.any() else 0.0)
         return 100 * float(np.mean(shares))
@@ -234,6 +235,8 @@ class RecordedFrames:
         return (by_path.inverse() @ found.T).magnitude()[1] if found.sure else None
 
     def _sighting(self, frame: Frame) -> Sighting:
+        if told := black_cameras(frame.images):
+            say(f"frame {frame.number}: {told}")
         self._finder.rig = self.sweep_of(frame).rig
         return self._finder.find(frame.images, frame.inverse_depth)
 
@@ -265,45 +268,44 @@ class RecordedFrames:
         Where several frames in a row have no sure step the path is cut, and the longest part
         returned.
         """
-        steps, progress, total = (
-            _StoredSteps(path, self.sums),
-            progress_bar("frame"),
-            len(self.data),
-        )
-        base, last, lost = self.data[0], Pose.identity(), 0
-        seen: dict[int, Sighting] = {}
+        steps, progress = _StoredSteps(path, self.sums), progress_bar("frame")
+        base, last, lost, total = self.data[0], Pose.identity(), 0, len(self.data)
+        seen: dict[int, Future[Sighting]] = {}
         parts = [{base.number: Pose.identity()}]
+        with ThreadPoolExecutor(1) as ahead:
 
-        def look(frame: Frame) -> Sighting:
-            if frame.number not in seen:
-                if told := black_cameras(frame.images):
-                    say(f"frame {frame.number}: {told}")
-                seen[frame.number] = self._sighting(frame)
-            return seen[frame.number]
+            def look(frame: Frame) -> Future[Sighting]:
+                if frame.number not in seen:
+                    seen[frame.number] = ahead.submit(self._sighting, frame)
+                return seen[frame.number]
 
-        for k in range(1, total):
-            frame = self.data[k]
-            progress(k, total, f"path, frame {frame.number}")
-            step = steps.get(base, frame)
-            if step is None:
-                guess = last if len(parts[-1]) > 1 else None
-                step = rig_step(self.sweep.rig, look(base), look(frame), guess)
-                steps.add(base, frame, step)
-            if step.sure:
-                parts[-1][frame.number] = parts[-1][base.number] @ step.T
-                base, last, lost = frame, step.T, 0
-            else:
-                lost += 1
-                say(
-                    f"frame {frame.number} is left out: {step.inliers} of {step.matches} matches"
-                    f" agree on a step, {step.rival} on another"
-                )
-            if lost == _LOST:
-                base, lost = frame, 0
-                parts.append({base.number: Pose.identity()})
-            seen = {
-                number: one for number, one in seen.items() if number in (base.number, frame.number)
-            }
+            for k in range(1, total):
+                frame = self.data[k]
+                progress(k, total, f"path, frame {frame.number}")
+                step = steps.get(base, frame)
+                if step is None:
+                    guess = last if len(parts[-1]) > 1 else None
+                    a, b = look(base), look(frame)
+                    # The next frame is looked at while this step is found.
+                    kept = {base.number, frame.number}
+                    if k + 1 < total:
+                        look(self.data[k + 1])
+                        kept.add(self.data[k + 1].number)
+                    step = rig_step(self.sweep.rig, a.result(), b.result(), guess)
+                    steps.add(base, frame, step)
+                    seen = {number: one for number, one in seen.items() if number in kept}
+                if step.sure:
+                    parts[-1][frame.number] = parts[-1][base.number] @ step.T
+                    base, last, lost = frame, step.T, 0
+                else:
+                    lost += 1
+                    say(
+                        f"frame {frame.number} is left out: {step.inliers} of {step.matches}"
+                        f" matches agree on a step, {step.rival} on another"
+                    )
+                if lost == _LOST:
+                    base, lost = frame, 0
+                    parts.append({base.number: Pose.identity()})
         progress(total, total, "")
         poses = max(parts, key=len)
         for part in parts:

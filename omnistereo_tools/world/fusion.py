@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -170,10 +171,8 @@ class Volume:
 
     def integrate(self, view: View, grid: SphereGrid) -> None:
         """Add a view, or with negative weights take it out again."""
-        T, size = view.T_world_rig, BLOCK * self.voxel
-        # Only blocks within reach can get anything from this view.
-        away = np.linalg.norm((self.voxels[0] + 0.5) * size - T.t, axis=1)
-        near = np.flatnonzero(away < self.reach + size)
+        T = view.T_world_rig
+        near = self._reached(view, grid)
         cosine = _cosine(view.inverse_depth, grid)
         panorama = view.inverse_depth, view.weight, cosine, view.color, *_mapping(grid)
 
@@ -183,6 +182,28 @@ class Volume:
             )
 
         list(map_threads(add, range(0, len(near), _PART)))
+
+    def _reached(self, view: View, grid: SphereGrid) -> NDArray[np.int64]:
+        """Return the blocks that can get anything from a view: not those behind all it sees."""
+        T, size, (per_theta, _, per_phi, _) = view.T_world_rig, BLOCK * self.voxel, _mapping(grid)
+        seen = ((self.voxels[0] + 0.5) * size - T.t) @ T.R
+        away, radius = np.linalg.norm(seen, axis=1), np.sqrt(0.75) * size
+        # So many pixels around that of its middle show a block, at most; a few count for rounding.
+        level = np.hypot(seen[:, 0], seen[:, 2])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = max(per_theta, per_phi) * np.arcsin(radius / level) + 2
+        # How far rays see, the farthest within 1, 2, 4 … pixels of each.
+        far = np.where(view.weight == 0, 0, 1 / view.inverse_depth + _ALONG * self.voxel)
+        far, steps = far.astype(np.float32), np.ceil(np.log2(pixels))
+        reached = np.isnan(steps)
+        for step in range(int(np.log2(grid.width / 4))):
+            r = max(1, 1 << step >> 1)
+            far = cv2.dilate(np.pad(far, ((0, 0), (r, r)), "wrap"), np.ones((2 * r + 1,) * 2))
+            far = far[:, r:-r]
+            some = np.flatnonzero(steps == step)
+            reached[some] = grid.look_up(far, seen[some])[0] > away[some] - radius
+        reached |= steps >= int(np.log2(grid.width / 4))
+        return np.flatnonzero(reached & (away < self.reach + size))
 
     def march(self, T_world_rig: Pose, rays: Floats, farthest: float) -> tuple[_Single, _Single]:
         """Return inverse depth and colour of the first surface along rays (H, W, 3) of the rig.
@@ -311,19 +332,31 @@ def find_block(voxels: Voxels, i: int, j: int, k: int) -> int:
 @_loop
 def distance_at(voxels: Voxels, i: int, j: int, k: int) -> float:
     """Return the distance of a voxel; infinite if no frame has seen it."""
-    number, at = find_block(voxels, i, j, k), (i & 7, j & 7, k & 7)
-    return voxels[3][number][at] if number >= 0 and voxels[4][number][at] > LEAST_WEIGHT else np.inf
+    number = find_block(voxels, i, j, k)
+    return _in_block(voxels, number, i, j, k) if number >= 0 else np.inf
 
 
 @_loop
-def _sample(voxels: Voxels, x: float, y: float, z: float) -> float:
-    """Return the distance at a point in voxels, trilinear; infinite beside an unseen voxel."""
+def _in_block(voxels: Voxels, number: int, i: int, j: int, k: int) -> float:
+    at = number, i & 7, j & 7, k & 7
+    return voxels[3][at] if voxels[4][at] > LEAST_WEIGHT else np.inf
+
+
+@_loop
+def _sample(voxels: Voxels, number: int, x: float, y: float, z: float) -> float:
+    """Return the distance at a point in voxels, in a block, trilinear; infinite beside an unseen
+    voxel.
+    """
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w, total = x - i, y - j, z - k, 0.0
+    inside = max(i & 7, j & 7, k & 7) < 7
     for a in range(2):
         for b in range(2):
             for c in range(2):
-                value = distance_at(voxels, i + a, j + b, k + c)
+                if inside:
+                    value = _in_block(voxels, number, i + a, j + b, k + c)
+                else:
+                    value = distance_at(voxels, i + a, j + b, k + c)
                 if value == np.inf:
                     return np.inf
                 total += value * (u if a else 1 - u) * (v if b else 1 - v) * (w if c else 1 - w)
@@ -358,13 +391,14 @@ def _march(
                 (t[2] + s * d[2]) / voxel,
             )
             # There is nothing in an empty block: jump to where the ray leaves it, and a little on.
-            if find_block(voxels, int(np.floor(x)), int(np.floor(y)), int(np.floor(z))) < 0:
+            number = find_block(voxels, int(np.floor(x)), int(np.floor(y)), int(np.floor(z)))
+            if number < 0:
                 s += voxel * (
                     _way_out(x, d[0], _way_out(y, d[1], _way_out(z, d[2], 2.0 * BLOCK))) + 0.01
                 )
                 before = np.inf
                 continue
-            value = _sample(voxels, x, y, z)
+            value = _sample(voxels, number, x, y, z)
             # From positive to negative the ray goes through the surface from its front: by linear
             # interpolation
             #     s = s₀ + (s₁ - s₀) d₀ / (d₀ - d₁)

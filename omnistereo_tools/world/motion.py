@@ -31,6 +31,7 @@ _SPHERES_SD = 0.7  # of an inverse depth, plus half of what it varies by among i
 _UNKNOWN_SD = 0.15  # 1/m
 _SAMPLES, _JUDGES = 300, 300  # triples of matches tried, and matches that judge them
 _KEPT = 4  # of the triples
+_COARSE = 4  # one of so many features follows the last motion
 _INLIER = 3.0  # standard deviations
 _LEAST_INLIERS = 60
 # What is far agrees with any step: on the drive, 1 to 20 m a step, false ones have up to 0.44 (five
@@ -47,6 +48,11 @@ class Sighting:
     features: Sequence[Features]  #: of each camera; rays in the axes of the rig
     inverse: Sequence[Floats]  #: (K,) each: inverse distance from the camera along the ray, 1/m
     sd: Sequence[Floats]  #: (K,) each: its standard deviation, 1/m
+
+    def some(self, step: int) -> Sighting:
+        """Return every so manieth feature of each camera."""
+        features = [Features(f.rays[::step], f.descriptors[::step]) for f in self.features]
+        return Sighting(features, *([x[::step] for x in xs] for xs in (self.inverse, self.sd)))
 
 
 class SightingFinder:
@@ -157,10 +163,13 @@ def rig_step(rig: Rig, a: Sighting, b: Sighting, last: Pose | None = None) -> St
         rig: Its origin is the centre of the panoramas.
         last: The step before this one.
     """
-    matches = _match(rig, a, b)
-    steps = [_refine(rig, a, b, _search(matches), [3.0])]
+    steps = [_refine(rig, a, b, _search(_match(rig, a, b)))]
     if last is not None:
-        steps.append(_refine(rig, a, b, last, [8.0, 3.0]))
+        # Some of the features tell where it leads; where that is the same step, once is enough.
+        some = a.some(_COARSE)
+        near, _ = _solve(last, _match(rig, some, b, last, 8.0), (5.0, 3.0))
+        if _differ(near, steps[0].T):
+            steps.append(_refine(rig, a, b, near))
     best = max(steps, key=lambda step: step.inliers)
     others = [step.inliers for step in steps if _differ(step.T, best.T)]
     return Step(best.T, best.inliers, best.matches, max(others, default=0))
@@ -285,8 +294,9 @@ def _solve(T: Pose, matches: _Matches, scales: Sequence[float]) -> tuple[Pose, f
             squares = (residuals**2).sum(axis=1) / scale**2
             weights = (1 + squares) ** -2
             cost = float((squares / (1 + squares)).mean())
-            H = np.einsum("mki,m,mkj->ij", J, weights, J) + 1e-6 * np.eye(6)
-            d = -np.linalg.solve(H, np.einsum("mki,m,mk->i", J, weights, residuals))
+            weighted = (J * weights[:, None, None]).reshape(-1, 6).T
+            H = weighted @ J.reshape(-1, 6) + 1e-6 * np.eye(6)
+            d = -np.linalg.solve(H, weighted @ residuals.ravel())
             turn, shift = np.linalg.norm(d.reshape(2, 3), axis=1) + 1e-9
             d *= min(1.0, float(0.5 / turn), float(4.0 / shift))
             T = T @ Pose(rotation_from_axis_angle(d[:3]), d[3:])
@@ -317,10 +327,9 @@ def _search(matches: _Matches) -> Pose:
     return min(best, key=lambda found: found[1])[0]
 
 
-def _refine(rig: Rig, a: Sighting, b: Sighting, T: Pose, gates_deg: Sequence[float]) -> Step:
-    """Match again near where a step puts the features, and adjust it, in narrowing gates."""
-    for gate_deg in gates_deg:
-        matches = _match(rig, a, b, T, gate_deg)
-        T, _ = _solve(T, matches, (5.0, 3.0))
+def _refine(rig: Rig, a: Sighting, b: Sighting, T: Pose) -> Step:
+    """Match again near where a step puts the features, and adjust it."""
+    matches = _match(rig, a, b, T, 3.0)
+    T, _ = _solve(T, matches, (5.0, 3.0))
     inlier = (_both_ways(T, matches)[0] ** 2).sum(axis=1) < _INLIER**2
     return Step(T, int(inlier.reshape(2, -1).all(axis=0).sum()), len(matches[0].ray))

@@ -134,17 +134,16 @@ def choose_views(
     middle = corners.mean(axis=1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    best, chosen = np.zeros(len(middle)), np.full(len(middle), -1)
+    best, chosen = np.zeros(len(middle), np.float32), np.full(len(middle), -1)
     for k, view in enumerate(views):
-        seen = (middle - view.pose.t) @ view.pose.R
-        distance = np.linalg.norm(seen, axis=1)
-        inverse, inside = grid.look_up(view.refined, seen)
+        away = middle - view.pose.t.astype(np.float32)
+        distance = np.sqrt(np.einsum("ki,ki->k", away, away))
+        size = -np.einsum("ki,ki->k", away, normals) / distance**3
+        larger = np.flatnonzero(size > best)
+        inverse, inside = grid.look_up(view.refined, away[larger] @ view.pose.R)
         # Nothing is before it: a panorama that ends there shows it.
-        inside &= np.abs(inverse * distance - 1) < _SAME
-        facing = ((view.pose.t - middle) * normals).sum(axis=1) / distance
-        size = np.where(inside, facing / distance**2, 0)
-        chosen[size > best] = k
-        best = np.maximum(best, size)
+        seen = larger[inside & (np.abs(inverse * distance[larger] - 1) < _SAME)]
+        chosen[seen], best[seen] = k, size[seen]
     return chosen
 
 

@@ -72,6 +72,9 @@ def _place_vertices(
         first = voxels[0][number] * BLOCK
         for cell in range(BLOCK**3):
             i, j, k = cell >> 6, cell >> 3 & 7, cell & 7
+            # Which cells are crossed is known when they are filled.
+            if len(vertices) > 0 and numbers[number, i, j, k] < 0:
+                continue
             for n in range(8):
                 corners[n] = distance_at(
                     voxels,
@@ -115,6 +118,8 @@ def _join(
     for number in range(len(voxels[0])):
         x, y, z = voxels[0][number] * BLOCK
         for cell in range(BLOCK**3):
+            if numbers[number, cell >> 6, cell >> 3 & 7, cell & 7] < 0:
+                continue
             at = (x + (cell >> 6), y + (cell >> 3 & 7), z + (cell & 7))
             here = distance_at(voxels, at[0], at[1], at[2])
             if here == np.inf:

@@ -161,6 +161,18 @@ def test_a_view_that_is_taken_out_again_leaves_what_the_others_saw():
     np.testing.assert_allclose(1 / inverse, RADIUS, atol=VOXEL / 10)
 
 
+def test_blocks_that_are_passed_over_get_nothing(monkeypatch):
+    """Of a view whose ray is used in one corner, beside a near thing that hides much."""
+    one = view(np.zeros(3), np.where(GRID.rays()[..., 0] > 0.8, 1.0, in_sphere(np.zeros(3))))
+    some = replace(one, weight=np.where(np.arange(320) < 90, one.weight, 0))
+    passed_over = fused([one, some])
+    assert len(passed_over._reached(some, GRID)) < len(passed_over.voxels[0]) / 2
+    every = np.arange(len(passed_over.voxels[0]))
+    monkeypatch.setattr(Volume, "_reached", lambda *_: every)
+    for found, expected in zip(passed_over.voxels, fused([one, some]).voxels, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_ground_seen_flat_has_no_holes():
     """A plane 0.5 m below, up to 3 m away, where rays meet it at 10°."""
     down = np.maximum(GRID.rays()[..., 1], 1e-3)
