@@ -10,7 +10,7 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
-    # A thread of torch that waits for the next piece of work gives its core away after 0.1 ms or so,
+    # A thread of torch that waits for its next work gives its core away after about 0.1 ms,
     # not after 30 times as long: beside 15 busy processes `depth` took 56 s, and 132 without.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     from omnistereo_tools.cli import main
