@@ -202,7 +202,7 @@ def verdict(report: CameraReport, camera: OcamCamera, name: str) -> list[str]:
     reach, most = report.max_corner_angle_deg, camera.max_fov_deg / 2
     good = f"{report.rms_px:.2g} px rms, corners up to {reach:.0f}° of {most:.0f}°"
     missing = bool(uncovered(report, camera))
-    flaw = f"{report.warnings[0].partition('. ')[0]}" if report.warnings else good
+    flaw = report.warnings[0].partition(". ")[0] if report.warnings else good
     word = "Fair" if report.warnings or missing else "Good"
     todo = "hold the board next where it is shaded" if missing else "corners in all parts"
-    return [*wrap(f"{name}: {word}: {flaw}", 62), todo]
+    return [*wrap(f"{word}: {name}, {flaw}", 62), todo]

@@ -35,7 +35,7 @@ def test_nothing_is_asked_for_where_all_was_seen():
     report = seen(lambda angle, _: angle >= 0)
     assert uncovered(report, CAMERA) == [] and where_next(report, CAMERA) == ""
     assert verdict(report, CAMERA, "cam1") == [
-        "cam1: Good: 0.07 px rms, corners up to 109° of 110°",
+        "Good: cam1, 0.07 px rms, corners up to 109° of 110°",
         "corners in all parts",
     ]
 
@@ -44,7 +44,7 @@ def test_a_wide_field_with_a_hole_in_the_centre_is_not_covered():
     report = seen(lambda angle, _: angle > 20)
     assert where_next(report, CAMERA) == "in the centre"
     first, todo = verdict(report, CAMERA, "cam1")
-    assert first.startswith("cam1: Fair") and todo == "hold the board next where it is shaded"
+    assert first.startswith("Fair: cam1") and todo == "hold the board next where it is shaded"
     # a few corners at one end of it do not fill it
     few = seen(lambda angle, azimuth: (angle > 20) | ((angle > 15) & (azimuth < 15)))
     assert where_next(few, CAMERA) == "in the centre"

@@ -203,9 +203,15 @@ def with_links(text: str) -> str:
 
 
 def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
-    """Prepare a notebook: images for light and dark mode, stills in place of live figures."""
-    live = 0
-    for cell in nbtools.drawing_cells(nb):
+    """Prepare a notebook: its best figure below the title, what is set up and drawn folded, images
+    for light and dark mode, stills in place of live figures.
+    """
+    live, number = 0, stem.partition("_")[0]
+    opening = picture(*best_figure(nb, f"{number} {BEST[number]}"), extra, "../", least=0.0)
+    title, _, text = nb.cells[0].source.partition("\n")
+    nb.cells[0].source = f'{title}\n\n<div class="opening">{opening}</div>\n{text}'
+    later = (at for at, cell in enumerate(nb.cells) if at and cell.cell_type == "markdown")
+    for cell in (*nb.cells[1 : next(later)], *nbtools.drawing_cells(nb)):
         cell.metadata["tags"] = [*cell.metadata.get("tags", ()), "hide-input"]
     for cell in nb.cells:
         if cell.cell_type != "code":
