@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -36,6 +37,7 @@ from omnistereo_lib.stereo.correlation import (
     pixels_per_degree,
     volume_sizes,
 )
+from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -43,6 +45,43 @@ from omnistereo_lib.stereo.weights import StoredNetwork
 
 # Channels of the U-net's levels. Each level is half as wide, high and deep as the one before.
 WIDTHS = (16, 32, 48, 64)
+
+
+def fuses(x: Tensor) -> bool:
+    """Return whether oneDNN may filter and clip in one pass: on a CPU, where nothing is traced."""
+    traced = torch.is_grad_enabled() or torch.onnx.is_in_onnx_export()
+    return x.device.type == "cpu" and torch.backends.mkldnn.is_available() and not traced
+
+
+def fused(
+    x: Tensor,
+    weight: Tensor,
+    bias: Tensor,
+    stride: Sequence[int],
+    padding: Sequence[int],
+    dilation: Sequence[int],
+    plus: Tensor | None = None,
+    after: str = "relu",
+) -> Tensor:
+    """Return after(convolution + plus) in one pass, where `fuses`.
+
+    Torch takes one pass for each, and with AMX a pass takes as long as a convolution: 16 channels
+    of 320 × 80 × 48 57 ms of one core with `wrap` and relu, 25 in one pass, the same bits.
+    """
+    dtype = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
+    x, weight, bias = (one.to(dtype) for one in (x, weight, bias))
+    sizes, of_onednn = (padding, stride, dilation, 1), torch.ops.mkldnn._convolution_pointwise
+    if plus is None:
+        return of_onednn(x, weight, bias, *sizes, after, [], "")
+    return of_onednn.binary(x, plus, weight, bias, *sizes, "add", 1.0, after, [], "")
+
+
+def filtered(layer: nn.Conv2d, x: Tensor, plus: Tensor | None = None) -> Tensor:
+    """Return relu(layer(x) + plus)."""
+    if not fuses(x):
+        return relu(layer(x) if plus is None else layer(x) + plus, inplace=True)
+    assert layer.bias is not None and not isinstance(layer.padding, str)
+    return fused(x, layer.weight, layer.bias, layer.stride, layer.padding, layer.dilation, plus)
 
 
 class ResidualBlock(nn.Sequential):
@@ -55,8 +94,8 @@ class ResidualBlock(nn.Sequential):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the feature maps (B, 32, h, w) of feature maps."""
-        first, second = self
-        return relu(x + second(relu(first(x), inplace=True)), inplace=True)
+        first, second = cast(list[nn.Conv2d], [*self])
+        return filtered(second, filtered(first, x), x)
 
 
 class FeatureNet(nn.Module):
@@ -85,11 +124,13 @@ class FeatureNet(nn.Module):
             tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is image pixel (2x, 2y).
         """
         # (h, w) → (1, 32, h / 2, w / 2)
-        x = self.blocks(relu(self.first(image[None, None]), inplace=True))
+        x = self.blocks(filtered(self.first, image[None, None]))
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
         # Over the visible pixels, each channel gets zero mean, each group of channels unit
         # variance. So features stay small, and do not correlate by noise, where there is little
         # texture.
+        if fuses(maps):
+            return correlation_numba.normalize(maps, visible)
         count = visible.sum().clamp(min=1)
         maps = (maps - (maps * visible).sum((1, 2), keepdim=True) / count) * visible
         power = (maps.square().sum((1, 2)) / count).view(GROUPS, -1).mean(1)
@@ -116,7 +157,26 @@ class Conv3d(nn.Module):
         scale = norm.weight / (norm.running_var + norm.eps).sqrt()
         weight = conv.weight * scale[:, None, None, None, None]
         bias = norm.bias - norm.running_mean * scale
-        return relu(conv3d(wrap(x), weight, bias, conv.stride, conv.padding), inplace=True)
+        return filter_volume(x, weight, bias, conv.stride[0])
+
+
+def filter_volume(
+    x: Tensor, weight: Tensor, bias: Tensor, stride: int = 1, after: str = "relu"
+) -> Tensor:
+    """Return conv3d of a volume (B, C, W, H, N), circular in θ, and "relu" or "none" after it."""
+    if not fuses(x):
+        y = conv3d(wrap(x), weight, bias, stride, (0, 1, 1))
+        return relu(y, inplace=True) if after == "relu" else y
+    # Without a copy that is two columns wider: first as if nothing lay beyond the seam, then the
+    # columns at the seam again.
+    sides, once = (stride,) * 3, (1, 1, 1)
+    y = fused(x, weight, bias, sides, once, once, after=after)
+    seam = torch.cat([x[:, :, stride - 3 :], x[:, :, :2]], 2)
+    ends = fused(seam, weight, bias, sides, (0, 1, 1), once, after=after)
+    y[:, :, 0] = ends[:, :, -1]
+    if stride == 1:
+        y[:, :, -1] = ends[:, :, 0]
+    return y
 
 
 def wrap(x: Tensor) -> Tensor:
@@ -192,8 +252,8 @@ class VolumeNet(StoredNetwork):
         """Return the volume (B, 9, W, H, N) as a copy in the layout and precision of the U-net."""
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
         # leaves odd strides; at once in the precision of the products, in half the memory.
-        # oneDNN's blocked, prepacked and fused forms take as long: 10.7 to 12.4 ms of one core for
-        # 16 channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has 25.
+        # oneDNN's blocked and prepacked forms take as long: 10.7 to 12.4 ms of one core for 16
+        # channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has 25.
         kind = volume.device.type
         half = not self.training and torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if half else volume.dtype
@@ -208,7 +268,8 @@ class VolumeNet(StoredNetwork):
         x = levels.pop()
         for up in reversed(self.up):
             x = up(x, levels.pop())
-        return self.head(wrap(x)).float()[:, 0]
+        assert self.head.bias is not None
+        return filter_volume(x, self.head.weight, self.head.bias, after="none").float()[:, 0]
 
     @torch.no_grad()
     def volume(
@@ -225,8 +286,7 @@ class VolumeNet(StoredNetwork):
         if (network := self.ready(sweep.device)) is not self:
             return network.volume(sweep, frame, pairs, progress)
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
-        blocks = torch.arange(grid.width, device=device).split(64)
-        step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + len(blocks))
+        step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + 1)
         # The logits of every cell, from a coarse volume and a finer one.
         logits = []  # (1, w, h, n) each
         for size in sizes:
@@ -241,15 +301,10 @@ class VolumeNet(StoredNetwork):
                 del prepared
         # Rays that fewer than two cameras see in every cell have no cost.
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
-        # The mean logits at full size become probabilities, some columns at a time.
-        volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
-        for columns in blocks:
-            step("read-out")
-            mean = reduce(torch.add, (resize_logits(one, columns, grid)[0] for one in logits))
-            target = volume[:, columns[0] : columns[-1] + 1].transpose(0, 1)
-            torch.sub(volume.new_ones(()), mean.softmax(-1), out=target)
+        step("read-out")
+        volume = costs_of(logits, hidden, grid)
         step("")
-        return volume.masked_fill_(hidden[..., None], torch.nan)
+        return volume
 
     def correlation_at(
         self,
@@ -286,8 +341,24 @@ class VolumeNet(StoredNetwork):
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:
     """Give an image (h, w) zero mean and unit variance over the visible pixels, and 0 elsewhere."""
-    values = image[visible]
-    return torch.where(visible, (image - values.mean()) / values.std().clamp(min=1e-6), 0.0)
+    # By sums: to pick the visible pixels takes five times as long.
+    count = visible.sum()
+    centered = (image - (image * visible).sum() / count.clamp(min=1)) * visible
+    deviation = (centered.square().sum() / (count - 1).clamp(min=1)).sqrt()
+    return centered / deviation.clamp(min=1e-6)
+
+
+def costs_of(logits: Sequence[Tensor], hidden: Tensor, grid: SphereGrid) -> Tensor:
+    """Return 1 - probability (H, W, N) of logits (1, w, h, n); NaN where hidden (H, W)."""
+    if hidden.device.type == "cpu":
+        levels = [one[0] @ along_rays(one, grid.num_spheres) for one in logits]
+        return read_out_numba.costs(levels, hidden)
+    # The mean logits at full size become probabilities, some columns at a time.
+    parts = []
+    for columns in torch.arange(grid.width, device=hidden.device).split(64):
+        mean = reduce(torch.add, (resize_logits(one, columns, grid)[0] for one in logits))
+        parts.append((1 - mean.softmax(-1)).transpose(0, 1))
+    return torch.cat(parts, 1).masked_fill_(hidden[..., None], torch.nan)
 
 
 def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
@@ -304,14 +375,16 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
     weight = (position - left)[:, None, None]
     across = logits[:, left % w] * (1 - weight) + logits[:, (left + 1) % w] * weight
     rays = interpolate(across, (grid.height, n), mode="bilinear", align_corners=False)
-    # Cubic interpolation along the ray is linear in the logits: interpolating the unit vectors
-    # gives its matrix (n, N), and one product resizes all rays.
-    cells = torch.eye(n, device=logits.device)[None, None]
     with full_precision(rays):
-        return (
-            rays
-            @ interpolate(cells, (n, grid.num_spheres), mode="bicubic", align_corners=False)[0, 0]
-        )
+        return rays @ along_rays(logits, grid.num_spheres)
+
+
+def along_rays(logits: Tensor, num_spheres: int) -> Tensor:
+    """Return the matrix (n, N) whose product with logits (…, n) resizes rays to N spheres."""
+    # Cubic interpolation along the ray is linear in the logits: that of the unit vectors.
+    n = logits.shape[-1]
+    cells = torch.eye(n, device=logits.device)[None, None]
+    return interpolate(cells, (n, num_spheres), mode="bicubic", align_corners=False)[0, 0]
 
 
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
@@ -321,4 +394,5 @@ def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     at least one sphere, on either side; see `reference.local_mean`. The confidence is the
     probability that these spheres have together, in [0, 1]. NaN where the cost is NaN.
     """
-    return reference.local_mean(volume, COARSE[1])
+    by_loops = volume.device.type == "cpu" and not torch.onnx.is_in_onnx_export()
+    return (read_out_numba if by_loops else reference).local_mean(volume, COARSE[1])

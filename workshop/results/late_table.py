@@ -10,7 +10,7 @@ from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.geometry.pose import Floats, Pose, rotation_from_axis_angle
 from omnistereo_rigs.images.late import FRAMES, REACH, LateCameras
-from omnistereo_tools.record.sync import QUICK, is_on_time, is_sure
+from omnistereo_tools.record.sync import QUICK, is_on_time, is_sure, small
 
 _DRIVES = (("drive", "test", 16), ("sunny", "train", 40))  # set, split, frames in a row
 _OFF_DEG = (0.0, 0.1)  # by which every camera of the rig is turned about an axis of its own
@@ -38,19 +38,23 @@ def print_table(clips: int = 150) -> None:
     for name, split, most in _DRIVES:
         data = load_dataset(DATA / name, split=split)
         frames = [data[k].images for k in range(most)]
-        features = LateCameras(data.rig, frames)._features
+        looks = LateCameras(data.rig, frames), LateCameras(*small(data.rig, frames))
         for off in _OFF_DEG:
             rng = np.random.default_rng(0)
-            whole = LateCameras(data.rig.with_poses(_turned(data.rig.T_rig_cam, off, rng)), frames)
-            whole._features = features
-            whole.counts = cache(whole.counts)  # type: ignore[method-assign]
+            poses, turned = _turned(data.rig.T_rig_cam, off, rng), []
+            for look in looks:
+                turned.append(LateCameras(look.rig.with_poses(poses), look.images))
+                turned[-1]._features = look._features
+                turned[-1].counts = cache(turned[-1].counts)  # type: ignore[method-assign]
             for late in range(len(data.rig)):
-                said = _said(whole, rng, late, clips)
+                said = _said(turned[0], turned[1], rng, late, clips)
                 row = " | ".join(str(said[key]) for key in ("right", "wrong", "open"))
                 print(f"| {name} | {off:g}° | {late} | {clips} | {row} |", flush=True)
 
 
-def _said(whole: LateCameras, rng: np.random.Generator, count: int, clips: int) -> Counter[str]:
+def _said(
+    whole: LateCameras, first_look: LateCameras, rng: np.random.Generator, count: int, clips: int
+) -> Counter[str]:
     """Return how often clips with some late cameras come out right, wrong and open."""
     said = Counter[str]()
     while said.total() < clips:
@@ -60,8 +64,8 @@ def _said(whole: LateCameras, rng: np.random.Generator, count: int, clips: int) 
         if np.ptp(late) > REACH or first > last:
             continue
         start = int(rng.integers(first, last + 1))
-        # As `record` does: a first look at few frames, then one at more.
-        found = _Planted(whole, start, late, QUICK).find(reach=1)
+        # As `record` does: a first look at few frames and pixels, then one at more.
+        found = _Planted(first_look, start, late, QUICK).find(reach=1)
         if not is_on_time(found):
             found = _Planted(whole, start, late).find()
             if not is_sure(found):

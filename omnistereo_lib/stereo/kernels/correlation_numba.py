@@ -16,6 +16,21 @@ _SIZE = CHANNELS // GROUPS
 _CELLS = 1 << 14
 
 
+def normalize(maps: Tensor, visible: Tensor) -> Tensor:
+    """Return feature maps (32, h, w) that are normalised over visible pixels; see `FeatureNet`."""
+    rows = maps.permute(1, 2, 0).reshape(-1, CHANNELS).contiguous().numpy()
+    seen, out = visible.reshape(-1).numpy(), np.empty_like(rows)
+    parts = [slice(k, k + _CELLS) for k in range(0, len(rows), _CELLS)]
+    sums = np.zeros((len(parts), 2, CHANNELS))
+    list(map_threads(lambda part, own: _sum(rows[part], seen[part], own), parts, sums))
+    mean, square = sums.sum(0) / max(np.count_nonzero(seen), 1)
+    power = (square - mean**2).reshape(GROUPS, -1).mean(1)
+    scale = np.repeat(1 / np.sqrt(power.clip(0) + 1e-5), _SIZE)
+    share = scale.astype(np.float32), (mean * scale).astype(np.float32)
+    list(map_threads(lambda part: _scale(rows[part], seen[part], *share, out[part]), parts))
+    return torch.from_numpy(out).view(*maps.shape[1:], -1).permute(2, 0, 1)
+
+
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
     """Return `reference.correlate` of features (32, h, w), in eight groups, with its gradient."""
     # Channels last: the 32 features of a pixel are read together.
@@ -67,6 +82,25 @@ class _CellCorrelation(torch.autograd.Function):
 # Not nnan: a test for NaN says where a cell is visible. Not reassoc: the sums are written in the
 # order in which they are added, each product and sum as one fused operation.
 _loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+
+
+@_loop
+def _sum(rows: Any, seen: Any, sums: Any) -> None:
+    """Add Σ f and Σ f² of the seen rows (pixels, 32) to sums (2, 32), in float64."""
+    for m in range(len(rows)):
+        if seen[m]:
+            for k in range(CHANNELS):
+                f = np.float64(rows[m, k])
+                sums[0, k] += f
+                sums[1, k] += f * f
+
+
+@_loop
+def _scale(rows: Any, seen: Any, scale: Any, shift: Any, out: Any) -> None:
+    """Write scale f - shift of the seen rows to out, and 0 of the others."""
+    for m in range(len(rows)):
+        for k in range(CHANNELS):
+            out[m, k] = scale[k] * rows[m, k] - shift[k] if seen[m] else np.float32(0)
 
 
 @_loop
