@@ -98,3 +98,14 @@ if __name__ in ("__main__", "__mp_main__"):  # in processes of its own
     correlation.COARSE = (32, 8)
 if __name__ == "__main__":
     main()
+
+
+def test_what_is_compiled_is_read_without_the_compiler(tmp_path):
+    code = (
+        "import sys, torch; from omnistereo_lib.stereo.kernels.winner_numba import *;"
+        "winner_and_confidence(torch.rand(1, 2, 4), True); print('numba.np.linalg' in sys.modules)"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    run = [sys.executable, "-c", code]
+    said = [subprocess.check_output(run, env=environment, text=True) for _ in range(2)]
+    assert said == ["True\n", "False\n"]
