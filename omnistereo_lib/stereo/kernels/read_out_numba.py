@@ -132,10 +132,13 @@ def _read_rays(rays: Any, radius: Any, out: Any) -> None:
     """Write index and mass of rays (M, N) to out (2, M)."""
     N, reach, one = rays.shape[1], math.ceil(radius) + 1, np.float32(1)
     for m in range(len(rays)):
-        cost, least = rays[m], np.float32(np.inf)
+        cost, least, best = rays[m], np.float32(np.inf), 0
+        # a NaN has no nearest integer, and each processor makes another one of it
+        if np.isnan(cost[0]):
+            out[:, m] = np.nan
+            continue
         for n in range(N):
             least = minimum(least, cost[n])
-        best = 0
         while best < N - 1 and cost[best] != least:
             best += 1
         index = np.float32(best)
