@@ -169,7 +169,8 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     left_out = {k: why for one in reports for k, why in one.rejected.items()}
     if left_out:
         first = min(left_out)
-        print(f"{len(left_out)} captures are left out, such as {names[first]}: {left_out[first]}.")
+        share = f"{len(left_out)} of {len(names)}"
+        print(f"Captures left out: {share}, such as {names[first]}: {left_out[first]}.")
     if next_places:
         print(f"Hold the board next, as report_*.png shows: {' | '.join(next_places)}.")
     print(f"written to {out}/: {', '.join(written)}")

@@ -16,15 +16,19 @@ def test_the_board_has_its_size_on_paper(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "--board 9x6 --square 0.025"
     root = ElementTree.parse(out).getroot()
     width, height = (float(root.get(side)[:-2]) * MM_PER_POINT for side in ("width", "height"))
-    assert width <= 297 and height <= 210  # A4
-    boxes = []
+    assert (width, height) == pytest.approx((297, 210), abs=0.01)  # A4
+    assert "100 %, not “fit to page”" in out.read_text("utf-8")  # as a comment beside the outlines
+    boxes, ends = [], []
     for path in root.iter("{http://www.w3.org/2000/svg}path"):
         numbers = [float(n) for n in re.findall(r"-?[0-9.]+", path.get("d") or "")]
         x, y = numbers[0::2], numbers[1::2]
         if numbers:
             boxes.append([(max(v) - min(v)) * MM_PER_POINT for v in (x, y)])
+            if boxes[-1] == pytest.approx([25, 25], abs=0.01):
+                ends += [min(x) * MM_PER_POINT, max(x) * MM_PER_POINT]
     squares = [box for box in boxes if box == pytest.approx([25, 25], abs=0.01)]
     assert len(squares) == 35  # of 10 x 7
+    assert min(ends) + max(ends) == pytest.approx(width, abs=0.01)  # in the middle
     assert any(box == pytest.approx([100, 1], abs=0.01) for box in boxes)
 
 
