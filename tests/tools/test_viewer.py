@@ -160,6 +160,13 @@ def test_it_shows_the_panorama_and_tells_the_depth(depth, page):
     assert page.inner_text("#title") == "a <box>" and page.complaints == []
 
 
+def test_a_second_depth_is_told_only_beyond_the_error_bars(depth, desktop):
+    k, q = 20 * 160 + 80, depth.inverse_depth[20, 80]
+    for spheres, is_told in ((1, False), (4, True)):
+        desktop.evaluate(f"seconds[{k}] = Math.round({q + spheres * GRID.step} / D.perStep) + 1")
+        assert desktop.evaluate(f"secondWords({k}).startsWith('or ')") == is_told
+
+
 @pytest.mark.parametrize("mode", ["look", "flat", "points", "surfaces"])
 def test_every_ray_is_found_where_it_is_shown(depth, page, mode):
     in_mode(page, mode).evaluate(
@@ -359,7 +366,7 @@ def test_crosses_and_patches_follow_the_depth_along_the_ray(depth, page):
         for camera, caption in enumerate(captions):
             pixels, valid = depth.sweep.project_sphere(camera, float(index))
             place = (
-                "at {:.0f}, {:.0f}".format(*pixels[row, column])
+                "at {:.0f}, {:.0f} px".format(*pixels[row, column])
                 if valid[row, column]
                 else "does not see it"
             )
@@ -514,6 +521,10 @@ def test_two_runs_are_compared_by_a_divider(depth, data, written, open_page, tmp
     apart = page.evaluate(f"Math.abs(other.inverse[{k}] - inverse({k})) * D.percent")
     expected = colors[min(round(25.5 * apart), 255)]
     np.testing.assert_allclose(color_of(page, depth, 20, 80), expected, atol=12)
+    assert page.inner_text("#facts") == "Difference between the two"
+    assert not page.locator("#sides").is_visible()
+    page.select_option("#layer", "estimate")
+    page.locator("#sides").wait_for()
     page.focus("#divide")
     page.keyboard.press("Home")
     box, height = page.locator("#divide").bounding_box(), SIZES["desktop"][1]
@@ -655,7 +666,7 @@ def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, desktop
     press(desktop, place_of(desktop, point_of(depth, *doubtful)))
     assert desktop.inner_text("#readout").endswith(", doubtful")
     desktop.evaluate("$('why').hidden = true; $('least').value = 3; showWords()")
-    assert desktop.inner_text("#leastWords") == "88 % left, right 8 in 10"
+    assert desktop.inner_text("#leastWords") == "88 % of rays shown; 8 in 10 of them right"
     assert max(color_of(desktop, depth, *doubtful)) <= 0x3A  # the ground, hatched
     assert max(color_of(desktop, depth, *sure)) > 0x60
     assert desktop.inner_text("#key") == "hidden"  # of the picture alone nothing is grey
@@ -667,7 +678,9 @@ def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, desktop
     red = 0.85 * faded + 0.15 * seen[0]
     assert abs(color_of(desktop, depth, *doubtful)[0] - red) < 8
     desktop.evaluate("showWords()")
-    assert desktop.inner_text("#key") == "doubtful: 13 %not seen by any camera"
+    assert desktop.inner_text("#key") == (
+        "doubtful: 13 %no surface here: hidden, or cut at an edge"
+    )
 
 
 def test_spikes_below_the_rig_are_drawn_flat_and_told_as_they_are(depth, open_page, tmp_path):

@@ -147,7 +147,7 @@ const OUTSIDE = {
       // A disc on the surface around each ray, as large as it touches the next ones; what is left between them is darker.
       vec2 ray = floor(at) + 0.5;
       float here = texelFetch(rays, ivec2(mod(ray.x, size.x), clamp(ray.y, 0.0, size.y - 1.0)), 0).x;
-      float many = max(length(dFdx(at)), length(dFdy(at))), between = smoothstep(0.4, 0.5, length(at - ray)) * (1.0 - smoothstep(0.05, 0.3, many));
+      float many = max(length(dFdx(at)), length(dFdy(at))), between = smoothstep(0.4, 0.5, length(at - ray)) * (1.0 - smoothstep(0.02, 0.08, many));
       bool same = max(here, depth) <= ${EDGE} * min(here, depth) || abs(here - depth) <= edge;
       vec4 tint = shade(ray, textureLod(picture, ray / size, log2(float(textureSize(picture, 0).x) / size.x)).rgb, true);
       if (!same || depth < nearest || tint.a < 0.02) discard;

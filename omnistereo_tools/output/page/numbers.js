@@ -90,10 +90,10 @@ const pointOf = (k, from = steps) => directionOf(k).map(x => x / inverse(k, from
 const width = code => code ? D.perStep * 2 ** ((code - 1) / 16) : NaN;
 const sigma = k => width(sigmas[k]), bound = k => width(bounds[k]);
 
-// Another surface with a tenth of the evidence or more: nearly always at the rim of something.
+// Another surface with a tenth of the evidence or more, beyond the error bars: nearly always at the rim of something.
 function secondWords(k) {
   const other = inverse(k, seconds), apart = Math.abs(1 / other - 1 / inverse(k));
-  if (Number.isNaN(other)) return "";
+  if (!(Math.abs(other - inverse(k)) > (bound(k) || 0))) return "";
   return `or ${metres(1 / other)}${apart < 1e6 ? `, ${oneDigit(apart)} ${other < inverse(k) ? "behind" : "before"} it` : ""}`;
 }
 

@@ -4,7 +4,8 @@
 const canvas = $("view");
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 const PRESS = matchMedia("(pointer: coarse)").matches ? "Tap" : "Click";
-const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.2, tilt: 0.3, distance: 0 };
+const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.2, tilt: 0.2, distance: 0 };
+const NOTHING = "no surface here: hidden, or cut at an edge";
 const SLOW_MS = 70, COARSEST = 0.25;  // two frames that take longer; of the pixels along a side
 const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
 let view = { ...start }, renderer = null, picks = [], why = null;
@@ -12,6 +13,8 @@ let view = { ...start }, renderer = null, picks = [], why = null;
 const mode = () => document.querySelector("input[name=mode]:checked").value;
 const halves = () => canvas.clientHeight > canvas.clientWidth ? 2 : 1;  // of the panorama, one below the other
 const outside = () => mode() === "points" || mode() === "surfaces";
+// Whether a line divides two runs: not points and surfaces, nor the difference of the two.
+const divided = () => other && !outside() && $("layer").value !== "apart";
 const doubtful = k => trust[k] < D.doubtful;
 
 // --- The view -----------------------------------------------------------------------------------------------------
@@ -50,7 +53,7 @@ function draw() {
 function drawNow() {
   renderer.draw(seen(), settings());
   drawMarks();
-  $("sides").hidden = !other || outside();  // between points and surfaces there is no line
+  $("sides").hidden = !divided();
   clearTimeout(storing);
   storing = setTimeout(storeState, 200);
   document.body.dataset.drawn = mode();
@@ -128,7 +131,7 @@ function drawMarks() {
   const places = picks.map(k => placeOf(inverse(k) > 1e-6 ? pointOf(k) : directionOf(k).map(x => 1e6 * x)));
   const shapes = places.filter(Boolean).map(([cx, cy]) => svg("circle", { cx, cy, r: 8 }));
   const [a, b] = places, x = $("divide").value * canvas.clientWidth;
-  if (other && !outside()) {
+  if (divided()) {
     shapes.push(svg("line", { x1: x, y1: 0, x2: x, y2: canvas.clientHeight }));
     $("left").style.right = canvas.clientWidth - x + 8 + "px";
     $("right").style.left = x + 8 + "px";
@@ -136,7 +139,7 @@ function drawMarks() {
   if (a && b) shapes.push(svg("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1] }));
   if (mode() === "flat" && !other) shapes.push(...["ahead", "right", "behind", "left"].map((words, i) => {
     const turn = i * Math.PI / 2, [x, y] = placeOf([Math.sin(turn), Math.tan(Math.min(D.phi[1], 1.5)), Math.cos(turn)]);
-    return Object.assign(svg("text", { x: clamp(x, 30, canvas.clientWidth - 30), y: y - 10 }), { textContent: words });
+    return Object.assign(svg("text", { x: clamp(x, 36, canvas.clientWidth - 36), y: y - 10 }), { textContent: words });
   }));
   $("marks").replaceChildren(...shapes);
 }
@@ -159,7 +162,7 @@ function distanceWords() {
 
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
-  $("readout").textContent = k < 0 ? (outside() ? "not seen by any camera" : "") : !steps[k] ? "no depth here"
+  $("readout").textContent = k < 0 ? (outside() ? NOTHING : "") : !steps[k] ? "no depth here"
     : metres(1 / inverse(k)) + (rangeOf(k) && ` (${rangeOf(k)})`) + (other ? `, ${other.name} ${otherWords(k)}` : "") + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
@@ -170,7 +173,9 @@ function showWhy(k) {
   why = explain(k);
   $("why").hidden = false;
   $("sentence").textContent = (other ? `${nameOf(D)}: ` : "") + sentenceOf(why);
-  $("bar").textContent = [rangeOf(k) && `95 % of such rays: ${rangeOf(k)}`, secondWords(k)].filter(Boolean).join("; ");
+  const second = sphereOf(inverse(k, seconds));
+  const told = R.sentences[why.kind].includes("{other}") && Math.abs(second - why.rival?.sphere) <= toleranceOf(second);
+  $("bar").textContent = [rangeOf(k) && `95 % of such rays: ${rangeOf(k)}`, !told && secondWords(k)].filter(Boolean).join("; ");
   $("exactKey").hidden = !(truth && truth[k]);
   $("tilt").textContent = tiltWords(why);
   $("along").max = D.spheres - 1;
@@ -189,7 +194,7 @@ function tiltWords({ k, shift }) {
 function showAlong() {
   const n = +$("along").value, at = n === Math.round(why.index) ? inverse(why.k) : inverseOf(n);
   const depth = metres(1 / at), agreement = why.agreement[n];
-  const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the agreement is ${agreement.toFixed(2)}, at most 1`;
+  const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the agreement is ${agreement.toFixed(2).replace("-", "−")} of 1`;
   $("alongWords").textContent = `At ${depth}, ${words}.`;
   drawCurve(sphereOf(at));
   D.cameras.forEach((camera, i) => { drawPatch(camera, i, at); drawFisheye(camera, i, at); });
@@ -239,15 +244,13 @@ function drawPatch(camera, i, inverseDepth) {
   const side = 44, { canvas: box, caption } = patches[i], context = box.getContext("2d");
   box.width = box.height = side;
   const image = context.createImageData(side, side);
-  let shown = false;
   squareOf(why.ray, side).forEach((point, at) => {
     const place = project(camera, point, inverseDepth);
     const color = [0, 1, 2].map(c => place ? sampleOf(camera, place, (data, k) => data[k + c]) : NaN);
     image.data.set(Number.isNaN(color[0]) ? [0, 0, 0, 0] : [...color, 255], 4 * at);
-    shown ||= !Number.isNaN(color[0]);
   });
   context.putImageData(image, 0, 0);
-  caption.textContent = why.hidden[i] ? "hidden there" : shown ? `camera ${i + 1}` : "not in view";
+  caption.textContent = why.hidden[i] ? "hidden there" : `camera ${i + 1}`;
 }
 
 // The image of a camera with the curve on which the match lies, and a cross at the depth of the slider.
@@ -268,7 +271,7 @@ function drawFisheye(camera, i, inverseDepth) {
     }
     context.stroke();
   }
-  caption.textContent = `camera ${i + 1} ` + (at ? `at ${at.map(Math.round).join(", ")}` : "does not see it");
+  caption.textContent = `camera ${i + 1} ` + (at ? `at ${at.map(Math.round).join(", ")} px` : "does not see it");
 }
 
 // Where a camera sees the point of the ray at a depth; nothing where it does not.
@@ -300,7 +303,13 @@ $("curve").onpointerdown = $("curve").onpointermove = event => {
   $("along").value = Math.round((event.clientX - box.left - 5) / (box.width - 10) * (D.spheres - 1));
   showAlong();
 };
-document.querySelector("#why .close").onclick = () => { $("why").hidden = true; picks = []; $("distance").textContent = ""; draw(); canvas.focus(); };
+function closeWhy() {
+  $("why").hidden = true;
+  picks = [];
+  $("distance").textContent = $("readout").textContent = "";
+  draw();
+}
+document.querySelector("#why .close").onclick = () => { closeWhy(); canvas.focus(); };
 
 // --- Pointers and keys -----------------------------------------------------------------------------------------------
 
@@ -385,6 +394,7 @@ $("saveDepth").onclick = () => save("inverse_depth.tiff", tiffOf(Float32Array.fr
 
 // Another run of the same scene: at each ray of ours its nearest one.
 let other = null;
+const LOADING = "The other run is loading…";
 async function showBeside(run, made = run.made ?? "") {
   const [theirSteps, theirTrust] = await Promise.all([unpacked(run.steps, run.width, Uint16Array), run.trust && unpacked(run.trust, run.width, Uint8Array)]);
   const at = Int32Array.from(steps, (_, k) => {
@@ -399,7 +409,6 @@ async function showBeside(run, made = run.made ?? "") {
   renderer.showOther(other);
   const names = [nameOf(D), other.name], exactly = of => truth ? `${offPercent(of)} % of rays off` : "";
   $("title").textContent = names.join(" against ");
-  $("facts").textContent = truth ? "Off: wrong by more than 1 % of the range swept" : "";
   [["left", names[0], inverse, ours()], ["right", names[1], k => other.inverse[k], made]].forEach(([side, name, of, when]) =>
     $(side).replaceChildren(...[["b", name], ["span", exactly(of)], ["span", when]].map(([kind, textContent]) => Object.assign(document.createElement(kind), { textContent }))));
   $("doubtWords").textContent = "doubtful";
@@ -423,11 +432,13 @@ const nameOf = run => run.title.replace(/^Depth from \d+ cameras by /, "");
 const otherWords = k => other.inverse[k] < 0 ? "has no depth" : metres(1 / other.inverse[k]);
 
 $("beside").querySelector("input").onchange = async event => {
+  $("facts").textContent = LOADING;
   try {
     const page = new DOMParser().parseFromString(await event.target.files[0].text(), "text/html");
     await showBeside(JSON.parse(page.getElementById("data").textContent), timeOf(new Date(event.target.files[0].lastModified)));
   } catch {
-    event.target.value = "";
+    event.target.value = $("facts").textContent = "";
+    showWords();
     $("readout").textContent = "That is not the index.html of another run.";
   }
 };
@@ -437,7 +448,7 @@ $("beside").querySelector("input").onchange = async event => {
 // Out of the rig, once around what it has seen, and back; t from 0 to 1.
 function flyTo(t) {
   const out = (1 - Math.cos(2 * Math.PI * t)) / 2;
-  Object.assign(view, { turn: 2 * Math.PI * t, tilt: 0.5 * out, distance: start.distance * (0.02 + 1.4 * out) });
+  Object.assign(view, { turn: 2 * Math.PI * t, tilt: 0.5 * out, distance: start.distance * (0.03 + 2 * out) });
   moving();
 }
 
@@ -452,6 +463,7 @@ function land() {
 
 $("fly").onclick = () => {
   document.querySelector("input[value=surfaces]").checked = true;
+  closeWhy();
   mixAnew();
   if (calm.matches) return flyTo(++station / STATIONS);
   if (flight) return land();
@@ -477,10 +489,7 @@ $("in").onclick = () => zoom(1.25);
 $("out").onclick = () => zoom(0.8);
 $("reset").onclick = () => {
   view = { ...start };
-  picks = [];
-  $("distance").textContent = "";
-  $("why").hidden = true;
-  draw();
+  closeWhy();
 };
 
 // The trust below which rays fade: of the steps of the slider, the first shows all.
@@ -497,12 +506,13 @@ const leastTrust = () => 10 * ODDS[$("least").value];
 
 function showWords() {
   const mixed = +$("mix").value, odds = ODDS[$("least").value];
+  if (other) $("facts").textContent = !divided() ? outside() ? `Shown: ${nameOf(D)}` : "Difference between the two" : truth ? "Off: wrong by more than 1 % of the range swept" : "";
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
   const share = trust.reduce((count, value) => count + (value >= leastTrust()), 0) / trust.length;
-  $("leastWords").textContent = odds ? `${Math.round(100 * share)} % left, right ${odds} in 10` : "hide doubtful: none";
+  $("leastWords").textContent = odds ? `${Math.round(100 * share)} % of rays shown; ${odds} in 10 of them right` : "hide doubtful: none";
   $("grey").hidden = !D.trust || !outside() && mixed === 0;
   $("hatched").hidden = !(odds || mode() === "surfaces");
-  $("hatched").lastChild.textContent = odds ? mode() === "surfaces" ? "hidden or not seen" : "hidden" : "not seen by any camera";
+  $("hatched").lastChild.textContent = mode() === "surfaces" ? NOTHING : "hidden";
 }
 
 // The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
@@ -512,7 +522,7 @@ function sweepOnce() {
   let touched = false;
   for (const kind of ["pointerdown", "keydown", "wheel"]) addEventListener(kind, () => { touched = true; }, { once: true });
   requestAnimationFrame(function step(now) {
-    if (touched) return;
+    if (touched || outside()) return;
     const t = clamp((now - began) / 2000, 0, 1);
     $("mix").value = t < 0.6 ? 100 * t / 0.6 : 100 + (target - 100) * (t - 0.6) / 0.4;
     showWords();
@@ -534,7 +544,7 @@ document.querySelectorAll("input[name=mode]").forEach(button => { button.onchang
 
 let ticks, labels;
 function showScale() {
-  ticks = ["error", "apart"].includes($("layer").value) ? [[0, "0"], [1, "10 % of spheres"]] : D.ticks;
+  ticks = ["error", "apart"].includes($("layer").value) ? [[0, "0"], [1, $("scale").clientWidth > 118 ? "10 % of spheres" : "10 %"]] : D.ticks;
   $("scale").querySelectorAll("span").forEach(label => label.remove());
   labels = ticks.map(([, text]) => Object.assign(document.createElement("span"), { textContent: text }));
   $("scale").append(...labels);
@@ -601,6 +611,7 @@ function showPictureOnly() {
 
 (async () => {
   $("title").textContent = D.title;
+  if (D.beside) $("facts").textContent = LOADING;
   if (PRESS === "Tap") $("hint").firstChild.textContent = "Drag to look around, pinch to zoom.";
   $("hint").lastChild.textContent = `${PRESS} a place: why is it that far away?`;
   $("layers").hidden = !D.truth;
@@ -618,7 +629,7 @@ function showPictureOnly() {
   renderer = makeRenderer(canvas, picture, makeMesh(known));
   if (!renderer) return showPictureOnly();
   const near = Float32Array.from([...steps.keys()].filter(k => known(k) && inverse(k) * D.maxDepth >= 1), k => 1 / inverse(k)).sort();
-  view.distance = start.distance = (near[Math.floor(0.6 * near.length)] || 1);
+  view.distance = start.distance = 0.7 * (near[Math.floor(0.6 * near.length)] || 1);
   readState();
   paintScale();
   showScale();
