@@ -39,6 +39,10 @@ _NEAREST = 1.0
 _PART = 512
 # Standard deviations of a depth: in metres, and in spheres.
 _DEPTH_SD, _SPHERES_SD = 0.03, 0.6
+# A surface is clearly beyond a voxel by so many standard deviations of its depth, and so much of
+# the voxel's distance. On the drive (16 frames, 320 x 80, VolumeNet) a third fewer vertices of cars
+# stay, and as much of what stands is found within 20 cm; without the second, half, but 1 % less.
+_CLEAR_SD, _CLEAR = 3.0, 0.5
 # Neighbouring depths with a larger ratio have an edge between them.
 _ONE_SURFACE = 1.2
 # Bits of each coordinate of a block in its key.
@@ -177,9 +181,8 @@ class Volume:
         panorama = view.inverse_depth, view.weight, cosine, view.color, *_mapping(grid)
 
         def add(start: int) -> None:
-            _integrate(
-                self.voxels, panorama, T.R, T.t, near[start : start + _PART], self.voxel, self.reach
-            )
+            part, doubt = near[start : start + _PART], _SPHERES_SD * grid.step
+            _integrate(self.voxels, panorama, T.R, T.t, part, self.voxel, self.reach, doubt)
 
         list(map_threads(add, range(0, len(near), _PART)))
 
@@ -247,6 +250,7 @@ def _integrate(
     part: NDArray[np.int64],
     voxel: float,
     reach: float,
+    doubt: float,
 ) -> None:
     blocks, _, _, distances, weights, colors = voxels
     inverse, confidence, cosine, pixels, per_theta, column0, per_phi, row0 = panorama
@@ -281,6 +285,13 @@ def _integrate(
                     # Unknown, or hidden behind the surface.
                     if w == 0 or s < -band or along < -_ALONG * voxel:
                         continue
+                    # Far beyond, an uncertain surface still leaves no doubt that the voxel is free:
+                    # it counts as one that is seen there, so that what has driven on is carved.
+                    far, clear = along + away, _CLEAR_SD * doubt * (along + away) ** 2
+                    if s >= band and along > max(clear, _CLEAR * away):
+                        w *= (_DEPTH_SD**2 + (doubt * far**2) ** 2) / (
+                            _DEPTH_SD**2 + (doubt * away**2) ** 2
+                        )
                     at = number, i, j, k
                     total = weights[at] + w
                     # A view is taken out, and no other frame has seen the voxel.

@@ -152,6 +152,15 @@ def test_what_other_frames_see_through_is_carved():
     np.testing.assert_allclose(1 / inverse, RADIUS, atol=VOXEL / 10)
 
 
+def test_a_far_surface_carves_as_surely_as_a_near_one():
+    """A car 3 m away is seen once; twice the way is free up to a wall that is uncertain by
+    metres."""
+    depth, place = np.full(GRID.shape, 9.0), np.zeros(3)
+    volume = fused([view(place, in_sphere(place)), *[view(place, depth)] * 2])
+    inverse, _ = volume.march(osl.Pose.identity(), GRID.rays(), REACH)
+    assert np.nanmax(inverse) < 1 / 5
+
+
 def test_a_view_that_is_taken_out_again_leaves_what_the_others_saw():
     depth, place = in_sphere(np.zeros(3)), np.zeros(3)
     car = view(place, np.where(GRID.rays()[..., 2] > 0.9, 2.0, depth))
