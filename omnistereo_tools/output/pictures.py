@@ -23,7 +23,7 @@ FILM = 1920, 1080  # px, of a frame of a film: width, height
 _SHARP = 1280  # px, about, of the panorama that the surfaces in it have their colours from
 _STRIP_PX = 44  # height of the note and the scale below the panoramas
 AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
-_INK, _STRIPE = (0xE8,) * 3, 0x38
+_INK, _STRIPE = (0xE8,) * 3, 0x50
 
 
 _GPANO = (
