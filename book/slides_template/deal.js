@@ -39,13 +39,22 @@ document.addEventListener("DOMContentLoaded", async () => {
       if (piece.localName === "details") piece.classList.toggle("fragment", page.firstChild !== piece)
     }
   }
+  // Code grows as long as it fits and no line breaks that did not break before.
+  for (page of phone ? [] : slides.children) {
+    const lines = () => [...page.querySelectorAll("pre")].map((pre) => Math.round(pre.offsetHeight / parseFloat(getComputedStyle(pre).fontSize) / 1.2)).join()
+    const before = lines()
+    for (let size = 44; before && size >= 24; size -= 2) {
+      page.style.setProperty("--code", `${size}px`)
+      if (!isFull() && lines() === before) break
+    }
+  }
   slides.classList.remove("dealing")
   matchMedia("(max-width: 599px)").addEventListener("change", () => location.reload())
   await Reveal.initialize({ width, height, center: false, margin: 0, maxScale: 4, display: "flex", hash: true, slideNumber: "c/t", transition: "none", scrollActivationWidth: 0 })
 })
 
-// Labels are to be read: from the last row, px of a slide of 1280; on a telephone, of 600.
-const LEGIBLE = [13, 16]
+// Labels are to be read: from the last row, px of a slide of 1280; on a telephone, which two fingers enlarge, of 600.
+const LEGIBLE = [13, 7]
 
 // Return the slides that the pieces of one become: its picture, where its labels are too small, in parts beside each other,
 // or, if these are too small as well, a slide for each part.
@@ -91,9 +100,23 @@ function part(image, width, height, [x, y, w, h], most) {
   return made("svg", { viewBox: [0, 0, most(2), most(3)], role: "img", "aria-label": image.alt }, window)
 }
 
-// Let a finger move what is wider than a telephone; where it is at its end already, the finger turns to the next slide.
+// Let a finger move what is wider than a telephone, a picture from its middle; an edge beyond which more follows fades.
+// Where it is at its end already, the finger turns to the next slide.
 function letPan(slides) {
   let from, ends
+  const mark = (box) => {
+    const rest = box.scrollWidth - box.clientWidth
+    box.classList.toggle("less", rest > 1 && box.scrollLeft > 1)
+    box.classList.toggle("more", rest - box.scrollLeft > 1)
+  }
+  for (const event of ["ready", "slidechanged"])
+    Reveal.on(event, ({ currentSlide }) => {
+      for (const box of currentSlide.querySelectorAll(".picture, pre")) {
+        if (box.matches(".picture")) box.scrollLeft = (box.scrollWidth - box.clientWidth) / 2
+        mark(box)
+      }
+    })
+  slides.addEventListener("scroll", ({ target }) => mark(target), true)
   slides.addEventListener("touchstart", ({ touches, target }) => {
     const box = target.closest(".picture, pre"), rest = box ? box.scrollWidth - box.clientWidth : 0
     ;[from, ends] = [touches[0].clientX, rest > 1 ? { prev: box.scrollLeft < 1, next: box.scrollLeft > rest - 1 } : {}]

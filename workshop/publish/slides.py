@@ -43,7 +43,7 @@ TEMPLATE = BOOK / "slides_template"
 WRITTEN = BOOK / "slides"
 SCRIPTS = (MATHJAX, TEMPLATE / "deal.js")
 DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
-WHITE = 235  # a pixel at least this bright is paper
+WHITE = 205  # a pixel at least this bright is paper: 204 is a patch of grey
 # px of the 10 pt in which Matplotlib labels axes
 LABEL = {f"image/{kind}": round(10 * dpi / 72, 1) for kind, dpi in DPI.items()}
 SENTENCE = re.compile(r"(?<=[.?]) (?=[A-Z])")
@@ -187,7 +187,8 @@ def picture(output: NotebookNode, rows: int = 1, columns: int = 1, **_: str) -> 
     # a colour bar at the right may be common to the rows
     left = ink[:, : int(0.85 * image.width)]
     boxes = {
-        "rows": parts(np.any(left, axis=1), rows),
+        # a single pixel of a row is noise that JPEG leaves around letters
+        "rows": parts(left.sum(axis=1) > 1, rows),
         "columns": parts(np.any(ink, axis=0), columns),
     }
     facts = "".join(f" data-{name}='{json.dumps(found)}'" for name, found in boxes.items())
