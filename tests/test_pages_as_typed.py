@@ -19,9 +19,9 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import cv2
+import numpy as np
 import pytest
 import scene
-import numpy as np
 import yaml
 from printed_boards import APRIL_FILE, april_pictures
 from served_commands import Server
