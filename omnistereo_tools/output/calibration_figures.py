@@ -5,10 +5,12 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -26,6 +28,7 @@ _CENTRE = "in the centre"
 _RINGS = {_CENTRE: (0.0, 20.0), "halfway out": (20.0, 60.0), "near the rim": (60.0, 180.0)}
 _SECTORS = ["right", "lower right", "bottom", "lower left"]
 _SECTORS += ["left", "upper left", "top", "upper right"]
+_LIGHTNESS, _CHROMA = 65, 36  # of directions, in Lab: all their colours are in sRGB
 
 
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
@@ -39,14 +42,10 @@ def draw_residuals(ax: Axes, report: CameraReport) -> None:
             color="0.4",
             lw=0.8,
         )
-    ax.set(
-        aspect="equal",
-        xlabel="u error in px",
-        ylabel="v error in px",
-        title=f"rms {report.rms_px:.3f} px",
-    )
     limit = 5 * report.sigma_px
-    ax.set(xlim=(-limit, limit), ylim=(limit, -limit))
+    ax.set(aspect="equal", xlim=(-limit, limit), ylim=(limit, -limit))
+    ax.set(xlabel="u error in px", ylabel="v error in px")
+    ax.set_title(f"rms {report.rms_px:.3f} px; circles: 1, 2, 3 σ")
 
 
 def draw_error_by_angle(ax: Axes, report: CameraReport) -> None:
@@ -77,21 +76,29 @@ def draw_error_by_angle(ax: Axes, report: CameraReport) -> None:
         xlabel="angle from the axis in degrees", ylabel="radial error in px", ylim=(-limit, limit)
     )
     ax.legend(loc="upper left", fontsize="small")
+    ax.set_title("flat on 0: the lens model fits")
 
 
 def draw_error_directions(ax: Axes, report: CameraReport) -> None:
-    """Draw every corner, coloured by its residual's direction: one colour nearby is a bias."""
+    """Draw every corner, coloured by its residual's direction: one colour nearby is a bias. A ring
+    in the lower right corner has the colour of each direction.
+    """
     corners = np.concatenate([report.corners[view] for view in report.views_used])
     residuals = np.concatenate(list(report.residuals_used().values()))
-    direction = np.degrees(np.arctan2(residuals[:, 1], residuals[:, 0]))
+    direction = np.arctan2(residuals[:, 1], residuals[:, 0])
     known = np.isfinite(direction)
-    u, v = corners[known].T
-    dots = ax.scatter(
-        u, v, c=direction[known], s=9, linewidths=0, cmap="twilight", vmin=-180, vmax=180
-    )
-    bar = ax.figure.colorbar(dots, ax=ax, fraction=0.04)
-    bar.set_ticks(range(-180, 181, 90), labels=["left", "up", "right", "down", "left"])
-    _frame_of_image(ax, report, "direction of the error")
+    ax.scatter(*corners[known].T, c=direction_colors(direction[known]), s=9, linewidths=0)
+    _frame_of_image(ax, report, "one colour nearby: a bias")
+    around = np.linspace(0, 2 * np.pi, 72)
+    places = 0.91 + 0.06 * np.cos(around), 0.09 - 0.06 * np.sin(around)  # v points down
+    ax.scatter(*places, c=direction_colors(around), s=30, lw=0, transform=ax.transAxes)
+
+
+def direction_colors(radians: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return a colour of the same lightness for each direction, (N,) → (N, 3) RGB in [0, 1]."""
+    a, b = _CHROMA * np.cos(radians), _CHROMA * np.sin(radians)
+    lab = np.stack([np.full_like(a, _LIGHTNESS), a, b], -1).astype(np.float32)
+    return np.asarray(cv2.cvtColor(lab[None], cv2.COLOR_LAB2RGB)[0], np.float32)
 
 
 def uncovered(report: CameraReport, camera: OcamCamera) -> list[tuple[str, int]]:
@@ -143,8 +150,9 @@ def draw_coverage(ax: Axes, report: CameraReport, camera: OcamCamera | None = No
     if camera is not None:
         _draw_uncovered(ax, report, camera)
     for view in report.views_used:
-        u, v = report.corners[view].T
-        ax.scatter(u, v, s=5, linewidths=0)
+        ax.scatter(*report.corners[view].T, s=5, linewidths=0)
+    corners = np.concatenate([report.corners[view] for view in report.views_used])
+    tree = cKDTree(corners[np.isfinite(corners).all(1)])
     reach = report.max_corner_angle_deg
     camera = report.intrinsics.camera(2 * reach)
     azimuth = np.linspace(0, 2 * np.pi, 120)
@@ -152,7 +160,12 @@ def draw_coverage(ax: Axes, report: CameraReport, camera: OcamCamera | None = No
         rays = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth)], axis=-1)
         circle, _ = camera.project(np.column_stack([rays, np.full(len(rays), np.cos(theta))]))
         ax.plot(*circle.T, color="0.4", lw=0.8)
-        ax.annotate(f"{np.degrees(theta):.0f}°", circle[15], fontsize="small")
+        # its degrees where corners are farthest
+        inside = circle[((circle >= 0) & (circle < report.intrinsics.image_size)).all(1)]
+        for place in inside[np.argsort(tree.query(inside)[0])[-1:]]:
+            halo = [withStroke(linewidth=3, foreground="white")]
+            text = f"{np.degrees(theta):.0f}°"
+            ax.text(*place, text, size="small", ha="center", va="center", path_effects=halo)
     _frame_of_image(ax, report, f"{len(report.views_used)} boards, up to {reach:.0f}°")
 
 
@@ -165,14 +178,8 @@ def _draw_uncovered(ax: Axes, report: CameraReport, camera: OcamCamera) -> None:
 
 def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
     width, height = report.intrinsics.image_size
-    ax.set(
-        xlim=(0, width),
-        ylim=(height, 0),
-        aspect="equal",
-        title=title,
-        xlabel="u in px",
-        ylabel="v in px",
-    )
+    ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal", title=title)
+    ax.set(xlabel="u in px", ylabel="v in px")
 
 
 def calibration_figure(
@@ -182,27 +189,36 @@ def calibration_figure(
     `draw_coverage`. With the name of the camera its title is the verdict, and what to do.
     """
     # read on a telephone, too
-    with rc_context({"font.size": 14, "axes.titlesize": 14}):
-        figure = Figure(figsize=(8.8, 9.6), layout="constrained")
+    sizes = {"font.size": 14, "axes.titlesize": 14, "figure.constrained_layout.hspace": 0.06}
+    with rc_context(sizes):
+        figure = Figure(figsize=(8.8, 10.4), layout="compressed")
         axes = figure.subplots(2, 2)
         draw_coverage(axes[0, 0], report, camera)
         draw_residuals(axes[0, 1], report)
         draw_error_by_angle(axes[1, 0], report)
         draw_error_directions(axes[1, 1], report)
+        names = "corners found", "error of every corner"
+        names += "radial error by angle", "direction of the error"
+        for ax, quantity in zip(axes.flat, names, strict=True):
+            # on one grid of squares, whatever the shape of the image
+            ax.set(box_aspect=1, adjustable="datalim")
+            ax.locator_params(nbins=5)
+            # what is drawn, and smaller how to read it
+            ax.text(0, 1.03, ax.get_title(), size="small", color="0.35", transform=ax.transAxes)
+            ax.set_title("")
+            ax.set_title(quantity, loc="left", pad=26)
         if name and camera is not None:
             figure.suptitle("\n".join(verdict(report, camera, name)), fontsize=16)
-            axes[0, 1].set_title("every error\ncircles: 1, 2 and 3 σ")
-            axes[1, 0].set_title("a mean off zero:\ntoo simple a lens model")
-            axes[1, 1].set_title("direction of the error\none colour nearby: a bias")
     return figure
 
 
 def verdict(report: CameraReport, camera: OcamCamera, name: str) -> list[str]:
     """Return lines: how good the calibration of a camera is, and where to hold the board next."""
     reach, most = report.max_corner_angle_deg, camera.max_fov_deg / 2
-    good = f"{report.rms_px:.2g} px rms, corners up to {reach:.0f}° of {most:.0f}°"
+    reached = f"corners reach {reach:.0f}° from the axis; the lens is stated to {most:.0f}°"
     missing = bool(uncovered(report, camera))
+    good = f"{report.rms_px:.2g} px rms"
     flaw = report.warnings[0].partition(". ")[0] if report.warnings else good
     word = "Fair" if report.warnings or missing else "Good"
     todo = "hold the board next where it is shaded" if missing else "corners in all parts"
-    return [*wrap(f"{word}: {name}, {flaw}", 62), todo]
+    return [*wrap(f"{word}: {name}, {flaw}", 62), reached, todo]
