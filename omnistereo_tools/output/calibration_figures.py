@@ -87,7 +87,8 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
     residuals = np.concatenate(list(report.residuals_used().values()))
     direction = np.arctan2(residuals[:, 1], residuals[:, 0])
     known = np.isfinite(direction)
-    ax.scatter(*corners[known].T, c=direction_colors(direction[known]), s=9, linewidths=0)
+    u, v = corners[known].T
+    ax.scatter(u, v, c=direction_colors(direction[known]), s=9, linewidths=0)
     _frame_of_image(ax, report, "one colour nearby: a bias")
     around = np.linspace(0, 2 * np.pi, 72)
     places = 0.91 + 0.06 * np.cos(around), 0.09 - 0.06 * np.sin(around)  # v points down
@@ -150,7 +151,8 @@ def draw_coverage(ax: Axes, report: CameraReport, camera: OcamCamera | None = No
     if camera is not None:
         _draw_uncovered(ax, report, camera)
     for view in report.views_used:
-        ax.scatter(*report.corners[view].T, s=5, linewidths=0)
+        u, v = report.corners[view].T
+        ax.scatter(u, v, s=5, linewidths=0)
     corners = np.concatenate([report.corners[view] for view in report.views_used])
     tree = cKDTree(corners[np.isfinite(corners).all(1)])
     reach = report.max_corner_angle_deg
@@ -162,10 +164,10 @@ def draw_coverage(ax: Axes, report: CameraReport, camera: OcamCamera | None = No
         ax.plot(*circle.T, color="0.4", lw=0.8)
         # its degrees where corners are farthest
         inside = circle[((circle >= 0) & (circle < report.intrinsics.image_size)).all(1)]
-        for place in inside[np.argsort(tree.query(inside)[0])[-1:]]:
+        for u, v in inside[np.argsort(tree.query(inside)[0])[-1:]]:
             halo = [withStroke(linewidth=3, foreground="white")]
             text = f"{np.degrees(theta):.0f}°"
-            ax.text(*place, text, size="small", ha="center", va="center", path_effects=halo)
+            ax.text(u, v, text, size="small", ha="center", va="center", path_effects=halo)
     _frame_of_image(ax, report, f"{len(report.views_used)} boards, up to {reach:.0f}°")
 
 
@@ -189,16 +191,17 @@ def calibration_figure(
     `draw_coverage`. With the name of the camera its title is the verdict, and what to do.
     """
     # read on a telephone, too
-    sizes = {"font.size": 14, "axes.titlesize": 14, "figure.constrained_layout.hspace": 0.06}
-    with rc_context(sizes):
+    with rc_context(
+        {"font.size": 14, "axes.titlesize": 14, "figure.constrained_layout.hspace": 0.06}
+    ):
         figure = Figure(figsize=(8.8, 10.4), layout="compressed")
         axes = figure.subplots(2, 2)
         draw_coverage(axes[0, 0], report, camera)
         draw_residuals(axes[0, 1], report)
         draw_error_by_angle(axes[1, 0], report)
         draw_error_directions(axes[1, 1], report)
-        names = "corners found", "error of every corner"
-        names += "radial error by angle", "direction of the error"
+        names = ["corners found", "error of every corner"]
+        names += ["radial error by angle", "direction of the error"]
         for ax, quantity in zip(axes.flat, names, strict=True):
             # on one grid of squares, whatever the shape of the image
             ax.set(box_aspect=1, adjustable="datalim")

@@ -45,6 +45,7 @@ from omnistereo_tools.output.pictures import (
 )
 from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
 from omnistereo_tools.output.summary import (
+    depth_facts,
     depth_sentences,
     doubt_shares,
     error_sentences,
@@ -244,7 +245,8 @@ class FrameResult:
         return names
 
     def _write_overview(self, path: Path) -> None:
-        what = self.depth, self.panorama, self.trust, self.title, self.sentences()
+        facts = depth_facts(self.depth, self.limits, self.doubtful, self.gt_index)
+        what = self.depth, self.panorama, self.trust, self.title, self.sentences()[0], facts
         write_image(path, draw_overview(*what))
 
     def _write_page(self, path: Path) -> None:

@@ -18,13 +18,14 @@ from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.pictures import AWAY
 from omnistereo_tools.output.render import around, draw_surfaces
 
-_WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
-_LEFT, _RIGHT = 1010, 580  # px, of pictures in the two columns
-# px, of letters: the verdict and the notes are legible 390 px wide, where they are 14 and 8 px
-_TEXT, _NAME, _NOTE, _TITLE = 28, 36, 38, 64
-_DEGREES = 100  # px, of degrees beside a panorama
-_LETTERS = {_NOTE: 84, _TITLE: 50}  # of a line
-_HEAD = 50  # px, from the name of a picture to it
+_WIDTH, _GAP = 1400, 40  # px, of the page, and between what is on it
+_WIDE, _HALF = 1210, 640  # px, of pictures
+# px, of letters: all are legible 390 px wide, where they are 11 px or more
+_TEXT, _NAME, _TITLE = 40, 44, 68
+_DEGREES = 110  # px, of degrees beside a panorama
+_LETTERS = 36  # of a line of the verdict
+_FACT = 520  # px, from a name to its value
+_HEAD = 58  # px, from the name of a picture to it
 _FROM = 0.35, 0.4  # turn and tilt of the eye, radians
 
 
@@ -33,49 +34,63 @@ def draw_overview(
     panorama: NDArray[np.uint8],
     trust: NDArray[np.float32],
     title: str,
-    notes: Sequence[str],
+    verdict: str,
+    facts: Sequence[tuple[str, str]],
 ) -> NDArray[np.uint8]:
-    """Return the page, uint8 RGB, in two columns; what is doubtful is faded. Elevations
-    are positive upwards, as a reader expects.
+    """Return the page, uint8 RGB; what is doubtful is faded. Elevations are positive upwards, as a
+    reader expects.
 
     Args:
         panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
         trust: Of `trust.trust`, (H, W).
         title: What was computed and how, one line.
-        notes: The verdict, which is the heading, and sentences.
+        verdict: The heading.
+        facts: Names and values, the table at the foot.
     """
     page, scale, phi_deg = _Page(), ColorScale.of(depth.inverse_depth), depth.grid.phi_deg
-    row = page.write((_GAP, 24), fill(notes[0], _LETTERS[_TITLE]), "la", _TITLE)
-    top = page.write((_GAP, row + 12), title, "la", _NAME) + 24
-    # Left: panorama, depth, and the colours of the depth.
+    row = page.write((_GAP, 24), fill(verdict, _LETTERS), "la", _TITLE)
+    row = page.write((_GAP, row + 12), title, "la", _TEXT) + 24
+    # Above: panorama, depth, and the colours of the depth.
     left = _GAP + _DEGREES
     row = page.panorama(
-        panorama, (left, top), _LEFT, phi_deg, "What the cameras see", cv2.INTER_AREA
+        panorama, (left, row), _WIDE, phi_deg, "What the cameras see", cv2.INTER_AREA
     )
     colors = scale.colorize(depth.inverse_depth, trust < DOUBTFUL)
-    name = "Depth along the ray (faded: doubtful, striped: unknown)"
-    row = page.panorama(colors, (left, row), _LEFT, phi_deg, name)
-    page.paste(np.repeat(scale.bar(_LEFT), 16, 0), (left, row))
-    for place, label in scale.ticks():
-        page.write((left + place * _LEFT, row + 22), label, "mt")
-    bottom = row + 80
-    # Right: the surfaces, as high as the rest leaves room for, and trust.
-    right, row = _WIDTH - _GAP - _RIGHT, top
-    page.write((right, row), "Surfaces, from above", "la", _NAME)
-    low = round(_RIGHT * (phi_deg[1] - phi_deg[0]) / 360)
-    size = _RIGHT, max(_RIGHT // 2, bottom - top - low - 2 * _HEAD - 60)
-    larger = round(1.5 * _RIGHT), round(1.5 * size[1])
+    name = "Depth along the ray (faded: doubtful)"
+    name = name if depth.valid.all() else name.replace(")", ", striped: unknown)")
+    row = page.panorama(colors, (left, row), _WIDE, phi_deg, name)
+    labels, free = scale.ticks()[::-1], 2.0
+    row = page.bar(scale.bar(_WIDE), (left, row))
+    for place, label in labels:
+        if free - place > 0.13:
+            # the last one ends where the colours do
+            anchor, free = ("rt", place - 0.05) if place > 0.95 else ("mt", place)
+            page.write((left + place * _WIDE, row), label, anchor)
+    # Below, left: the surfaces; right: trust; as high as the two are wide.
+    top = row + 80
+    page.write((_GAP, top), "Surfaces, seen obliquely", "la", _NAME)
+    size = _HALF, 3 * _HALF // 4
     eye = around(AWAY * depth.grid.min_depth, *_FROM)
+    larger = round(1.5 * size[0]), round(1.5 * size[1])
     view = draw_surfaces(depth, panorama, trust < DOUBTFUL, eye, larger)
     small = np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
-    page.paste(small, (right, row + _HEAD))
-    row += _HEAD + size[1] + 20
+    page.paste(small, (_GAP, top + _HEAD))
+    bottom = page.write((_GAP, top + _HEAD + size[1] + 12), "black: not seen", "la")
+    right = _WIDTH - _GAP - _HALF
     gray = np.repeat((255 * np.nan_to_num(trust)).astype(np.uint8)[..., None], 3, -1)
-    name = f"Likely right (below {DOUBTFUL:g}: doubtful)"
-    row = page.panorama(gray, (right, row), _RIGHT, phi_deg, name, degrees=False)
-    # Below both: the notes.
-    text = fill(" ".join(notes[1:]), _LETTERS[_NOTE])
-    return page.cut(page.write((_GAP, max(bottom, row)), text, "la", _NOTE) + 30)
+    row = page.panorama(gray, (right, top), _HALF, phi_deg, "Likely right", degrees=False)
+    ramp = np.repeat(np.linspace(0, 255, _HALF).astype(np.uint8)[None, :, None], 3, -1)
+    row = page.bar(ramp, (right, row))
+    page.write((right, row), "0", "lt")
+    page.write((right + _HALF / 2 * DOUBTFUL, row), "doubtful", "mt")
+    page.write((right + _HALF * DOUBTFUL, row), f"{DOUBTFUL:g}", "mt")
+    bottom = max(bottom, page.write((right + _HALF, row), "1", "rt"))
+    # At the foot: the numbers.
+    for row, (name, value) in enumerate(facts):
+        down = bottom + 30 + 60 * row
+        page.write((_GAP, down), name, "la")
+        page.write((_GAP + _FACT, down), value, "la")
+    return page.cut(bottom + 60 + 60 * len(facts))
 
 
 class _Page:
@@ -94,6 +109,11 @@ class _Page:
         frame = (left - 1, top - 1, left + width, top + height)
         self._draw.rectangle(frame, outline="black")
         self._image.paste(Image.fromarray(pixels), corner)
+
+    def bar(self, row: NDArray[np.uint8], corner: tuple[int, int]) -> int:
+        """Paste the colours of a scale, (1, width, 3); return the row of its labels."""
+        self.paste(np.repeat(row, 20, 0), corner)
+        return corner[1] + 30
 
     def panorama(
         self,
@@ -116,11 +136,11 @@ class _Page:
             return top + height + 20
         for down in range(30 * int(np.ceil(first / 30)), int(last) + 1, 30):
             self.write((left - 8, top + scale * (down - first)), f"{-down}°", "rm")
-        for azimuth in range(-180, 181, 45):
+        for azimuth in range(-180, 181, 90):
             # The first one begins at the edge: beside it may be the lowest elevation.
             anchor = {-180: "lt", 180: "rt"}.get(azimuth, "mt")
             self.write((left + scale * (azimuth + 180), top + height + 6), f"{azimuth}°", anchor)
-        return top + height + 60
+        return top + height + 70
 
     def write(self, place: tuple[float, float], text: str, anchor: str, size: int = _TEXT) -> int:
         """Write text at a place, which is at its `anchor` (see Pillow); return the row below it."""

@@ -54,7 +54,9 @@ def verdict(
     if not fits(doubtful_percent):
         coarse = f"{columns} columns are too few, or " if columns < _COARSE else ""
         return f"Bad: {number}: {coarse}the rig and the images may not fit."
-    return f"{'Good' if doubtful_percent <= GOOD else 'Fair'}: {number}."
+    if doubtful_percent > GOOD:
+        return f"Fair: {number}."
+    return f"Good: {100 - doubtful_percent:.0f} % of rays are sure{of_what}."
 
 
 def depth_sentences(
@@ -85,6 +87,26 @@ def depth_sentences(
     ]
     # Where the rig does not fit, another nearest depth makes nothing better.
     return sentences + (_sphere_advice(depth, keep, nearest) if fits(share) and not doubt else [])
+
+
+def depth_facts(
+    depth: Depth, limits: Limits, doubtful: NDArray[np.bool_], gt_index: NDArray[Any] | None
+) -> list[tuple[str, str]]:
+    """Return the numbers of the sentences as names and values."""
+    keep = limits.keep(depth)
+    nearest = metres(nearest_depth(depth, keep & ~doubtful, beyond=1.0))
+    share, of_near, near = doubt_shares(depth.depth, doubtful)
+    used = f"{keep.sum()}, {100 * keep.mean():.0f} % of rays, up to {metres(limits.max_depth)}"
+    facts = [
+        ("Nearest sure thing", f"{nearest}; spheres from {depth.grid.min_depth:.3g} m"),
+        ("Median depth", metres(float(np.nanmedian(depth.depth)))),
+        ("Doubtful rays", f"{share:.0f} %; of rays up to {metres(near)}, {of_near:.0f} %"),
+        ("Points", used),
+    ]
+    if gt_index is not None:
+        error = index_error(depth.index, gt_index, depth.grid.num_spheres)
+        facts.append(("Error", f"{error['MAE']:.2g} % of the range, mean"))
+    return facts
 
 
 def _one_distance(depth: Depth) -> str | None:

@@ -151,6 +151,7 @@ def test_the_rig_is_suspected_of_doubtful_rays_but_so_is_a_coarse_grid(depth):
     assert (
         verdict(60.0, 320) == "Bad: 60 % of rays are doubtful: the rig and the images may not fit."
     )
+    assert verdict(7.0, 320) == "Good: 93 % of rays are sure."
 
 
 def test_a_depth_that_is_the_same_all_around_is_not_good(depth):
@@ -211,7 +212,7 @@ def test_no_letters_of_the_overview_touch(monkeypatch, pictures, rig, nearest):
     index = np.broadcast_to(np.linspace(0, 63, 160, dtype=np.float32), grid.shape)
     found = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), pictures)
     panorama = np.zeros((80, 160, 3), np.uint8)
-    overview.draw_overview(found, panorama, np.ones_like(index), "title", ["Good", "A note."])
+    overview.draw_overview(found, panorama, np.ones_like(index), "title", "Good", [("A", "b")])
     assert len(boxes) > 20
     for (a, (left, top, right, bottom)), (b, other) in combinations(boxes, 2):
         apart = right + 4 <= other[0] or other[2] + 4 <= left
