@@ -105,7 +105,7 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
 def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
     assert run(*record_command(recorded, done)) == 0  # all is there: it only sums up
     said = re.search(
-        r"^\w+: (\d+) % of rays are doubtful over \d+ frames(?:; .*)?\.\nOf the nearest tenth"
+        r"^\w+: (\d+) % of rays are sure over \d+ frames(?:; .*)?\.\nOf the nearest tenth"
         r" of rays of each frame, (\d+) % are doubtful",
         capsys.readouterr().out,
     )
@@ -116,7 +116,7 @@ def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorde
         )
         nearest = np.argsort(-inverse.ravel())[: round(inverse.size / 10)]
         shares.append([(trusted < 0.5).mean(), (trusted.ravel()[nearest] < 0.5).mean()])
-    np.testing.assert_allclose([int(said[1]), int(said[2])], 100 * np.mean(shares, 0), atol=1)
+    np.testing.assert_allclose([100 - int(said[1]), int(said[2])], 100 * np.mean(shares, 0), atol=1)
 
 
 def test_doubtful_rays_are_faded_in_the_video(done):
