@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from omnistereo_rigs.boards.report import CameraReport
 
 # A part of the image is covered if of three quarters of its directions a corner is near. Of 20
-# pictures held all over a lens of 220°, a part of the rim lacks 19 % at most, any other 2 %.
+# pictures held all over a lens of 220°, a part of the rim lacks 19 % at most, any other 9 %.
 _NEAR_DEG = 8.0
 _LACKS = 0.25
 # Parts of the image: the middle, and eight sectors of two rings; degrees from the axis.
@@ -200,10 +200,14 @@ def calibration_figure(
         draw_residuals(axes[0, 1], report)
         draw_error_by_angle(axes[1, 0], report)
         draw_error_directions(axes[1, 1], report)
+        # on one grid of squares, whatever the shape of the image
+        u, v = (side / 2 for side in report.intrinsics.image_size)
+        half = max(u, v)
+        for ax in (axes[0, 0], axes[1, 1]):
+            ax.set(xlim=(u - half, u + half), ylim=(v + half, v - half))
         names = ["corners found", "error of every corner"]
         names += ["radial error by angle", "direction of the error"]
         for ax, quantity in zip(axes.flat, names, strict=True):
-            # on one grid of squares, whatever the shape of the image
             ax.set(box_aspect=1, adjustable="datalim")
             ax.locator_params(nbins=5)
             # what is drawn, and smaller how to read it
