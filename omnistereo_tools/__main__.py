@@ -10,8 +10,8 @@ def start() -> int:
     # Modules make hundreds of thousands of objects that stay: looking through them for garbage took
     # 0.3 s while they load and 0.5 s at the end (`depth`, 7.0 s; two cores, warm).
     gc.set_threshold(100_000, 20, 20)
-    # A thread of torch that waits for its next work gives its core away after about 0.1 ms,
-    # not after 30 times as long: beside 15 busy processes `depth` took 56 s, and 132 without.
+    # Threads of torch that wait for work give their core away sooner than libgomp's default has
+    # them: `depth` on two cores took 6.3 s, not 6.9, and beside much other work 56 s, not 132.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     from omnistereo_tools.cli import main
     from omnistereo_tools.memory import keep_memory
