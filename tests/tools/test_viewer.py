@@ -214,6 +214,8 @@ def test_nothing_is_off_the_screen_and_nothing_lies_over_another(depth, pages, s
 def test_a_tap_that_opens_the_explanation_operates_nothing_that_slides_under_the_finger(pages):
     page = in_mode(begun(pages["phone"]), "look")
     page.set_viewport_size({"width": 390, "height": 844})
+    frames = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    page.evaluate(frames)
     state = "[mode(), ...INPUTS.map(name => $(name).value), view.zoom, flight, $('why').hidden]"
     boxes = page.evaluate("""() => {
         pick(20 * D.width + 80)
@@ -229,11 +231,14 @@ def test_a_tap_that_opens_the_explanation_operates_nothing_that_slides_under_the
         before = page.evaluate(state)
         if page.evaluate("([clientX, clientY]) => rayAt({ clientX, clientY })", [x, y]) < 0:
             continue
+        # every tap ends with a click, on a busy machine later
+        page.evaluate("clicked = 0, addEventListener('click', () => ++clicked, { once: true })")
         page.touchscreen.tap(x, y)
-        page.wait_for_timeout(50)
+        page.wait_for_function("clicked")
         after, tapped = page.evaluate(state), tapped + (not page.evaluate("$('why').hidden"))
         assert after[:-1] == before[:-1]
         page.evaluate("$('reset').onclick()")
+        page.evaluate(frames)
     assert tapped >= 3
     page.set_viewport_size(dict(zip(("width", "height"), SIZES["phone"], strict=True)))
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from omnistereo_lib.stereo import correlation
+from omnistereo_lib.stereo.volumenet import VolumeNet
 from omnistereo_rigs.boards.single_camera import calibrate_camera
 from workshop.results import bench, pairs
 
@@ -28,6 +29,14 @@ def test_a_line_has_all_times_and_their_ratios(capsys, monkeypatch):
     assert bench.operations(lambda: x @ x.T) == 2 * 10 * 100 * 10
     bench.compare("copy", lambda: x.clone(), None, 2e6)
     assert capsys.readouterr().out.split()[2] == "2.0"  # milliseconds: 2 MB at 1 GB/s
+
+
+def test_the_fused_convolutions_of_volumenet_count():
+    features, visible = VolumeNet().features, torch.ones(12, 16, dtype=torch.bool)
+    # one of 5 × 5 from one channel, seven of 3 × 3 from 32, at half the size
+    wanted = 2 * (6 * 8) * 32 * (5 * 5 + 7 * 3 * 3 * 32)
+    with torch.no_grad():
+        assert bench.operations(lambda: features(visible.float(), visible)) == wanted
 
 
 @pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("sgm", 1), ("volumenet", 4)])
