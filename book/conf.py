@@ -79,17 +79,13 @@ def keep_bars(
 
 
 def link_exact_types(app: Sphinx, doctree: nodes.document) -> None:
-    """Link types by their full names alone: "columns" in the prose of a type is not anybody's
-    attribute.
-    """
+    """Link types only by their full names: "columns" in the prose of a type is no attribute."""
     for reference in doctree.findall(addnodes.pending_xref):
         reference.attributes.pop("refspecific", None)
 
 
 def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
-    """Link the library's names that running text has as code, such as `SphereGrid.rays` or
-    `osl.sgm`.
-    """
+    """Link the library's names in running text, such as `SphereGrid.rays` or `osl.sgm`."""
     objects = app.env.domains.python_domain.objects
     for literal in list(doctree.findall(nodes.literal)):
         name = full_name(literal.astext())
@@ -113,9 +109,7 @@ def is_linked(node: nodes.Node) -> bool:
 def say_levels(
     app: Sphinx, page: str, template: str, context: dict, doctree: nodes.document | None
 ) -> None:
-    """Give the captions of the navigation, which Sphinx calls headings, the level that a heading
-    must have.
-    """
+    """Give the captions of the navigation, which Sphinx calls headings, the level they need."""
     tree = context["furo_navigation_tree"]
     context["furo_navigation_tree"] = tree.replace(
         'role="heading"', 'role="heading" aria-level="2"'
@@ -123,9 +117,7 @@ def say_levels(
 
 
 def full_name(code: str) -> str:
-    """Return the full name that code such as `osl.sgm(volume)`, `load_rig` or `metrics.error_map`
-    would have.
-    """
+    """Return the full name of code such as `osl.sgm(volume)`, `load_rig`, `metrics.error_map`."""
     name = code.partition("(")[0].removeprefix("osl.").removeprefix("omnistereo_lib.")
     for package in (omnistereo_rigs, omnistereo_learn):
         name = name.removeprefix(f"{package.__name__}.")

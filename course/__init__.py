@@ -1,3 +1,1 @@
-"""The machinery of the course: exercises, figures, the reproduction report, tools for notebooks and
-the book.
-"""
+"""The machinery of the course: exercises, figures, the classroom, tools for notebooks."""

@@ -1,6 +1,4 @@
-"""`python -m course COMMAND`: for who studies or teaches; what makes data and book is in
-`workshop`.
-"""
+"""`python -m course COMMAND`: to study or teach; `workshop` makes data and book."""
 
 from __future__ import annotations  # the doctor also answers an older Python
 

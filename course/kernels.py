@@ -70,16 +70,12 @@ def execute(
 
 
 def run(paths: list[Path]) -> bool:
-    """Run notebooks from fresh kernels, clean and store them; print what keeps one from being
-    stored.
-    """
+    """Run notebooks from fresh kernels, clean and store them; print what prevents it."""
     return rules.report({path: run_one(path) for path in paths})
 
 
 def run_one(path: Path) -> list[str]:
-    """Run, clean and store one notebook; return what keeps it from being stored: an error, its
-    time, a rule.
-    """
+    """Run, clean and store one notebook; return why it is not stored, if so."""
     nb = nbtools.read_notebook(path)
     try:
         seconds = execute(nb, path.parent)

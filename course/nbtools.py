@@ -169,9 +169,7 @@ def open_functions(nb: nbformat.NotebookNode) -> list[Open]:
 
 
 def _renew_captions(cell: nbformat.NotebookNode) -> None:
-    """Write the captions and alternative texts of captions.yaml into the outputs, so that a new one
-    needs no run.
-    """
+    """Write captions and alternative texts of captions.yaml into the outputs, without a run."""
     names = iter(re.findall(r'\bshow\(.*, "([^"]+)"\)', cell.source))
     for picture, below in pairwise(cell.outputs):
         mime = next((mime for mime in PICTURES if mime in picture.get("data", {})), None)

@@ -117,9 +117,7 @@ def _outputs(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Every picture has an alternative text and a caption: `course.figures.plot.show` takes both
-    from captions.yaml.
-    """
+    """Every picture has an alternative text and a caption, from captions.yaml."""
     for number, cell in enumerate(nbtools.code_cells(nb), start=1):
         for output, after in pairwise([*cell.outputs, {}]):
             data, caption = output.get("data", {}), after.get("data", {}).get("text/markdown", "")

@@ -65,9 +65,7 @@ def read_ocam_txt(path: str | Path, max_fov_deg: float | None = None) -> OcamCam
 
 
 def write_ocam_txt(camera: OcamCamera, path: str | Path) -> None:
-    """Write a camera as OCamCalib text, every number in full; field of view and mask are not
-    stored.
-    """
+    """Write a camera as OCamCalib text, numbers in full; field of view and mask are not stored."""
     records = ocam_records(camera)
     texts = [
         f"# {title}\n\n{' '.join(map(repr, records[key]))}\n" for key, title in _RECORDS.items()
@@ -145,9 +143,7 @@ def _check_inverse(poly: Floats, inv_poly: Floats, reach: float) -> None:
 
 
 def _field_of_view(camera: OcamCamera, max_fov_deg: float | None) -> float:
-    """Return the field of view of a camera, or the one given if its inverse polynomial increases as
-    far.
-    """
+    """Return the field of view, or the one given if the inverse polynomial reaches as far."""
 
     def project(rays: Floats) -> Projected:
         n = np.hypot(rays[..., 0], rays[..., 1])
@@ -190,9 +186,7 @@ def _counted(record: Any, name: str) -> Floats:
 
 
 def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> None:
-    """Warn once if the polynomials of some cameras disagree where pixels are, and say what that
-    means.
-    """
+    """Warn once if the polynomials of some cameras disagree, and say what that means."""
     found = {i: _polynomial_error(camera) for i, camera in enumerate(cameras, 1)}
     errors = {i: error for i, error in found.items() if error > MAX_ERROR_PX}
     if not errors:

@@ -94,9 +94,7 @@ class Section:
         self._asked |= dict.fromkeys(keys)
 
     def at(self, place: str) -> tuple[Section, str]:
-        """Return the section of a place, and the name that its key has in the file, the first
-        alternative if it has none.
-        """
+        """Return the section of a place, and its key's name in the file, else the first one."""
         first, _, rest = place.partition(".")
         if rest:
             return self.section(first).at(rest)
@@ -116,9 +114,7 @@ class Section:
         return default if value is None else value
 
     def require(self, place: str) -> Any:
-        """Return the value of a place; an `OmnistereoError` lists the keys that there are, similar
-        ones first.
-        """
+        """Return the value of a place; an `OmnistereoError` lists the keys that there are."""
         at, key = self.at(place)
         value = at.values.get(key)
         if value is None:
@@ -246,9 +242,7 @@ def check_count(cameras: int) -> None:
 
 
 def is_irrelevant(key: str, value: Any) -> bool:
-    """Return whether a key has no meaning here, or its value states nothing: false, zero, or such a
-    list.
-    """
+    """Return whether a key has no meaning here, or its value (false, zero) states nothing."""
     is_list = isinstance(value, list)
     inner = value.values() if isinstance(value, Mapping) else value if is_list else None
     empty = not value if inner is None else all(is_irrelevant("", each) for each in inner)
@@ -257,9 +251,7 @@ def is_irrelevant(key: str, value: Any) -> bool:
 
 
 def _is_misspelt(key: str, name: str) -> bool:
-    """Return whether a key is one letter added, missing, changed or swapped from a name, or its
-    case.
-    """
+    """Return whether a key is a name but for its case, or one letter too many, few or wrong."""
     if min(len(key), len(name)) < _SHORT:
         return False
     a, b = key.lower(), name.lower()
@@ -327,9 +319,7 @@ def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
 
 
 def numbered_lines(path: str | Path, empty: bool = False) -> list[tuple[int, list[str]]]:
-    """Return number and words of every line that is not a comment (after #, % or //), and not empty
-    unless asked.
-    """
+    """Return number and words of every line without comments (#, %, //); empty ones if asked."""
     lines = enumerate(read_text(path).splitlines(), 1)
     words = [(n, re.sub(r"(^|\s)(#|%|//).*", "", line).split(), line) for n, line in lines]
     return [(n, found) for n, found, line in words if found or (empty and not line.strip())]
@@ -357,9 +347,7 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
 
 
 def check_fov(value: float, name: str) -> float:
-    """Return a full field of view in degrees; what can only be radians is refused with that
-    guess.
-    """
+    """Return a full field of view in degrees; refuse what can only be radians."""
     if 0 < value < MIN_FOV_DEG:
         raise OmnistereoError(
             f"{name} is {value:g}; expected the full field of view in degrees, {MIN_FOV_DEG:g} to "

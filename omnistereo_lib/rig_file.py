@@ -143,9 +143,7 @@ def check_options(unit: str | None, max_fov_deg: float | None) -> None:
 
 
 def read_own(path: Path, unit: str | None, max_fov_deg: float | None) -> RigFile | None:
-    """Return what a file or folder of our formats holds, see `load_rig`; None: it is of another
-    one.
-    """
+    """Return what a path of our formats holds, see `load_rig`; None: of another format."""
     config = path
     if path.is_dir():
         config = next((path / name for name in _OWN_FILES if (path / name).exists()), path)
@@ -199,9 +197,7 @@ def read_poses(file: Path) -> list[Pose]:
 
 
 def poses_beside(folder: Path, lenses: Sequence[Path]) -> list[Pose]:
-    """Return the poses in poses.txt for the camera files of a folder; as many, or an
-    `OmnistereoError`.
-    """
+    """Return the poses in poses.txt for as many camera files, or an `OmnistereoError`."""
     file, names = folder / "poses.txt", ", ".join(file.name for file in lenses)
     one_each = "one line rx ry rz tx ty tz (camera → rig) per camera"
     if not file.exists():

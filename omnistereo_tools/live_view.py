@@ -52,9 +52,7 @@ class LivePicture:
     depth: Depth
 
     def ray_at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Return row and column of the ray at a place of the picture, 0 to 1; None outside of the
-        two panoramas.
-        """
+        """Return row and column of the ray at a place of the picture, 0 to 1; None outside."""
         grid, (top, rows) = self.depth.grid, panes(self.depth.grid)
         down = (y * FILM[1] - top) / rows
         inside = 0 <= down < 1 and 0 <= x < 1

@@ -1,6 +1,4 @@
-"""Boards of markers as they are printed, and as the equidistant lens of `boards` photographs
-them.
-"""
+"""Boards of markers as printed, and as the equidistant lens of `boards` sees them."""
 
 import boards
 import cv2

@@ -1,6 +1,4 @@
-"""The renderer with Blender replaced by noise that follows the pose, and frames of 25 × 24
-pixels.
-"""
+"""The renderer with noise that follows the pose for Blender; frames of 25 × 24 pixels."""
 
 import sys
 from dataclasses import replace

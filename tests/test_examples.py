@@ -16,9 +16,7 @@ NAMES += [(omnistereo_rigs, name) for name in ("calibrate_rig", "read_any_rig")]
 
 @pytest.mark.parametrize(("package", "name"), NAMES)
 def test_examples(package, name, tmp_path, monkeypatch):
-    """An example may use `np`, `osl` and `data_samples`; what it writes goes into an empty
-    folder.
-    """
+    """An example may use `np`, `osl`, `data_samples`; it writes into an empty folder."""
     (tmp_path / "data_samples").symlink_to(Path(__file__).resolve().parents[1] / "data_samples")
     monkeypatch.chdir(tmp_path)
     value = getattr(package, name)

@@ -55,9 +55,7 @@ class Typed:
 
 
 def commands_of(page: str) -> list[Typed]:
-    """Return the commands of a page or of a command's help, in the order in which they stand
-    there.
-    """
+    """Return the commands of a page or of a command's help, in their order."""
     if page in HELP:
         examples = re.findall(r"^  ((?:omnistereo|python -m) .*)$", help_of(page), re.MULTILINE)
         blender = (
@@ -128,9 +126,7 @@ def _typed(page: str, text: str, language: str, mark: re.Match | None) -> Typed:
 
 
 def _lines(block: str) -> list[str]:
-    """Return the commands of a block of shell: continued lines and here-documents are one
-    command.
-    """
+    """Return the commands of a block; continued lines and here-documents are one."""
     commands, rest = [], iter(block.splitlines())
     for line in rest:
         while line.endswith("\\"):

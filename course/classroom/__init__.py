@@ -1,3 +1,1 @@
-"""For students and teachers: the working copies, the check of the clone, progress, hand-ins and
-their judge.
-"""
+"""For students and teachers: working copies, a check of the clone, progress, hand-ins."""

@@ -1,6 +1,4 @@
-"""Check of the clone: the packages that environment.txt pins, and the data. It needs the standard
-library alone.
-"""
+"""Check of the clone, by the standard library alone: pinned packages, and the data."""
 
 import hashlib
 import json

@@ -63,9 +63,7 @@ class Exercise:
 
 
 def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
-    """Return the exercises of a notebook of the course: the functions that it hands to a
-    checker.
-    """
+    """Return the exercises of a notebook: the functions that it hands to a checker."""
     found, number = [], ""
     for cell in nb.cells:
         if cell.cell_type == "markdown":
@@ -79,9 +77,7 @@ def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
 
 
 def read_cells(path: Path) -> list[tuple[str, str]]:
-    """Return type and source of a handed-in notebook's cells; outputs may be anything, and are not
-    looked at.
-    """
+    """Return type and source of a handed-in notebook's cells; outputs are not looked at."""
     content = read_bytes(path, MAX_BYTES)
     try:
         return [
@@ -167,9 +163,7 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
 
 
 def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) -> dict[str, str]:
-    """Return the status of an exercise and what this clone's checker says of the answers of the
-    student's function.
-    """
+    """Return the status of an exercise and what this clone's checker says of the answers."""
     if exercise.function not in answers:
         missing = f"there is no function {exercise.function}"
         return (
@@ -183,9 +177,7 @@ def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) 
 
 
 def repeat(replies: Any) -> Callable[..., Any]:
-    """Return a function that answers as the student's did: with its value, its exception, its
-    writing into arrays.
-    """
+    """Return a function that answers as the student's did: value, exception, written arrays."""
     left = iter(replies)
 
     def answer(*arguments: Any) -> Any:
@@ -262,9 +254,7 @@ def in_words(sheet: Sheet) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text as one line of at most 500 characters that every file takes: others than
-    printable ones escaped.
-    """
+    """Return a text as one line of at most 500 printable characters, others escaped."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:500])[:500]
 
 
@@ -379,9 +369,7 @@ def checksum(*paths: Path) -> str:
 
 
 def stored_sheet(stored: Path, path: Path) -> Sheet | None:
-    """Return the stored sheet of a notebook if there is one, whole, of the same notebook and
-    checkers.
-    """
+    """Return the stored sheet of a notebook if it is whole, of this notebook and checkers."""
     with suppress(Exception):  # it may be damaged in any way
         sheet = json.loads(read_bytes(stored))
         if in_words(sheet) and made_from(path).items() <= sheet.items():
@@ -390,9 +378,7 @@ def stored_sheet(stored: Path, path: Path) -> Sheet | None:
 
 
 def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -> None:
-    """Store a sheet, unless the environment has changed since the class began; if it cannot be, the
-    sheet says so.
-    """
+    """Store a sheet, unless the environment has changed; if it cannot be, the sheet says so."""
     if changed := sorted(environment ^ last_changes()):
         sheet["notes"].append(
             printable(f"the environment has changed: {changed[0][0]}. Install it again, then check")
@@ -406,9 +392,7 @@ def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -
 
 
 def last_changes() -> set[tuple[str, int]]:
-    """Return every file of the installed packages and of the clone's code, with the time of its
-    last change.
-    """
+    """Return every file, installed or of the clone, with the time of its last change."""
     found, folders = set(), list(map(str, ENVIRONMENT))
     for folder in folders:  # grows
         for entry in os.scandir(folder):
@@ -438,7 +422,5 @@ def write_scores(path: Path, sheets: list[Sheet]) -> None:
 
 
 def no_formula(cell: str | int) -> str | int:
-    """Return a cell that a spreadsheet shows as it is: one that begins like a formula gets an
-    apostrophe.
-    """
+    """Return a cell as a spreadsheet should show it: with an apostrophe before a formula."""
     return f"'{cell}" if str(cell).startswith(("=", "+", "-", "@")) else cell

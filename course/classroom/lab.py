@@ -31,9 +31,7 @@ AS_ROOT = ("--allow-root",) if hasattr(os, "geteuid") and os.geteuid() == 0 else
 
 
 def start(options: list[str]) -> None:
-    """Open JupyterLab on the copy of the first notebook, after copying those that have no copy
-    yet.
-    """
+    """Open JupyterLab on the copy of the first notebook, copying first what has no copy."""
     from jupyterlab.labapp import LabApp
 
     WORKING.mkdir(exist_ok=True)
@@ -51,9 +49,7 @@ def start(options: list[str]) -> None:
 
 
 def renew(name: str) -> None:
-    """Put a fresh copy of one notebook, such as "03", in place of the working copy, which is kept
-    beside it.
-    """
+    """Copy one notebook, such as "03", again; the working copy is kept beside it."""
     found = [path for path in nbtools.notebooks() if name in (nbtools.number(path), path.stem)]
     if not found:
         numbers = ", ".join(nbtools.number(path) for path in nbtools.notebooks())

@@ -101,9 +101,7 @@ def write_progress(out: Path) -> None:
 
 
 def _own_method() -> str:
-    """Return the error and the time of the student's own method beside the library's, and print
-    them.
-    """
+    """Return and print the error and the time of the student's method beside the library's."""
     file = WORKING / "mine" / mine.WHOLE
     if not file.is_file():
         return ""

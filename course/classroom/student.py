@@ -224,9 +224,7 @@ def bytes_shared(process: subprocess.Popen[Any]) -> int:
 
 
 def copy_clone(copy: Path) -> None:
-    """Copy what a notebook needs of the clone, without solution notebooks, hidden files, links and
-    pipes.
-    """
+    """Copy what a notebook needs of the clone: no solutions, hidden files, links, pipes."""
 
     def left_out(folder: str, names: list[str]) -> list[str]:
         paths = {name: Path(folder, name) for name in names}
@@ -250,9 +248,7 @@ def watch(
     seconds: float,
     memory_gib: float,
 ) -> tuple[str, float]:
-    """Wait for a process; return the limit that it and its family have broken, or nothing, and
-    their peak in GiB.
-    """
+    """Wait for a process; return the limit that its family broke, or "", and the peak in GiB."""
     deadline, peak = time.monotonic() + seconds, 0.0
     while process.poll() is None:
         members = family()
@@ -273,9 +269,7 @@ def watch(
 
 
 def memory_of(process: psutil.Process, shared: bool = False) -> int:
-    """Return the bytes that a process uses; with `shared`, which takes longer, its part of what it
-    shares, on Linux.
-    """
+    """Return the bytes that a process uses; `shared`: with its part of what it shares; slow."""
     with suppress(psutil.Error):
         memory = process.memory_full_info() if shared else process.memory_info()
         return getattr(memory, "pss", memory.rss)
@@ -319,9 +313,7 @@ class OutOfTime(BaseException):
 
 
 def main() -> None:
-    """Run the cells of a task from stdin; write what they raise and what their functions answer to
-    stdout.
-    """
+    """Run a task from stdin; write to stdout what cells raise and what functions answer."""
     import resource  # not on Windows, where the judge may be imported
 
     from IPython.core.interactiveshell import InteractiveShell
@@ -376,9 +368,7 @@ def main() -> None:
 
 
 def from_course(function: Callable[..., Any]) -> bool:
-    """Tell whether a function is the course's own, such as a solution that the notebook goes on
-    with.
-    """
+    """Tell whether a function is the course's own, such as a solution."""
     return str(getattr(function, "__module__", "")).partition(".")[0] == "course"
 
 
@@ -442,9 +432,7 @@ def described(error: BaseException) -> tuple[str, str]:
 
 
 def in_json(value: Any) -> str:
-    """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name
-    of its type.
-    """
+    """Return a value in JSON: numbers of an array or a pose, else the name of its type."""
     try:
         return json.dumps(value, default=plain)
     except Exception:  # a list in itself, an object's own error

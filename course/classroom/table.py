@@ -58,9 +58,7 @@ def judged(
     index_of: Callable[[Frame, osl.SphereSweep], tuple[Any, float]],
     sets: tuple[str, ...] = SETS,
 ) -> Row:
-    """Return the mean errors over the frames of what gives the indices of a frame and the CPU
-    seconds it took.
-    """
+    """Return the mean errors over the frames, given a frame's indices and CPU seconds."""
     errors, seconds = [], []
     for one in sets:
         frame, sweep, truth = frame_of(one)
@@ -76,9 +74,7 @@ def judged(
 
 
 def by_library(frame: Frame, sweep: osl.SphereSweep) -> tuple[Any, float]:
-    """Return the indices by the library's ZNCC + SGM, and the CPU seconds, tables and compilation
-    not counted.
-    """
+    """Return the indices by the library's ZNCC + SGM, and the CPU seconds once warm."""
     sweep_depth(sweep, frame.images, LIBRARY)
     started = time.process_time()
     depth = sweep_depth(sweep, frame.images, LIBRARY)
@@ -100,9 +96,7 @@ def by_file(
 def print_table(
     handed_in: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: float = MEMORY_GIB
 ) -> list[Row]:
-    """Run the methods of a class, print their table, and write it; the lowest mean error comes
-    first.
-    """
+    """Run the methods of a class, print and write their table, lowest mean error first."""
     files = files_of(handed_in)
     rows = [judged(f"the library's {LIBRARY}", by_library)]
     for file in files:
@@ -172,9 +166,7 @@ def in_words(rows: list[Row]) -> list[str]:
 
 
 def _limited(command: list[str], seconds: float, memory_gib: float) -> int:
-    """Run a command with limits, away from the clone and the user's files; raise which limit it
-    broke.
-    """
+    """Run a command with limits, away from clone and user's files; raise the limit it broke."""
     with tempfile.TemporaryDirectory(prefix="table-", ignore_cleanup_errors=True) as folder:
         ran = student.limited(command, Path(folder), Path(folder), seconds, memory_gib)
     if ran.broken:

@@ -13,9 +13,7 @@ from course.exercises.opened import Open
 
 
 def functions(notebook: str) -> list[Open]:
-    """Return the functions that a notebook, such as "03", leaves open, in the order in which it
-    asks for them.
-    """
+    """Return the functions that a notebook, such as "03", leaves open, in its order."""
     name = f"nb{notebook}"
     if not Path(__file__).with_name(f"{name}.py").is_file():
         return []

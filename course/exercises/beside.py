@@ -98,9 +98,7 @@ def _street() -> tuple[Frame, osl.SphereSweep]:
 
 
 def warped() -> NDArray[np.float64]:
-    """Return the four images on one sphere, in colours, (4, H, W, 3), NaN where a camera sees
-    nothing.
-    """
+    """Return the four images on one sphere, in colours, (4, H, W, 3), NaN where unseen."""
     frame, sweep = _street()
     return np.stack(sweep.warp(frame.images, _SPHERE)).astype(np.float64)
 
@@ -116,17 +114,13 @@ def image() -> NDArray[np.float64]:
 
 
 def between() -> tuple:
-    """Return the same image, and its pixels at the rays of the panorama on one sphere, (H, W, 2),
-    NaN if unseen.
-    """
+    """Return an image and its pixels at the rays of one sphere, (H, W, 2), NaN if unseen."""
     uv, visible = _street()[1].project_sphere(0, _SPHERE)
     return image(), np.where(visible[..., None], uv, np.nan)
 
 
 def view() -> tuple:
-    """Return the first camera: its image, the camera, its pose, and the points of one sphere (H, W,
-    3).
-    """
+    """Return the first camera: image, camera, pose, and points of one sphere (H, W, 3)."""
     _, sweep = _street()
     points = sweep.grid.rays() * float(sweep.grid.index_to_depth(_SPHERE))
     return image(), sweep.rig.cameras[0], sweep.rig.T_rig_cam[0], points
@@ -155,9 +149,7 @@ def truth() -> tuple:
 
 
 def volume() -> tuple:
-    """Return ZNCC's costs of every fourth ray of the street, (20, 80, 16), float64, and two
-    penalties.
-    """
+    """Return ZNCC's costs of every fourth ray, (20, 80, 16), float64, and two penalties."""
     frame, sweep = _street()
     grid = osl.SphereGrid(80, 20, (-45, 45), num_spheres=16, min_depth=sweep.grid.min_depth)
     costs = osl.cost_volume(osl.SphereSweep(sweep.rig, grid), frame.images).numpy()
@@ -165,9 +157,7 @@ def volume() -> tuple:
 
 
 def sight() -> tuple:
-    """Return the street for the line of sight of camera 1: its centre, points, 1/m, elevations, and
-    fractions.
-    """
+    """Return of camera 1's line of sight: centre, points, 1/m, elevations, fractions."""
     frame, sweep = _street()
     inverse_depth = sweep.grid.index_to_inverse_depth(frame.gt_index(sweep.grid))
     points = sweep.grid.rays() / np.maximum(inverse_depth, 0.01)[..., None]

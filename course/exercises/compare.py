@@ -1,6 +1,4 @@
-"""What a checker does with a function: call it on several cases, compare, and put the difference
-into words.
-"""
+"""What a checker does: call a function on several cases, and put differences into words."""
 
 from __future__ import annotations
 
@@ -120,9 +118,7 @@ def quiet() -> Iterator[None]:
 
 
 def numbers(found: Any) -> Array | None:
-    """Return what a function has returned as an array of float64, or None if it is not made of real
-    numbers.
-    """
+    """Return what a function returned as float64, or None if it is not made of real numbers."""
     try:
         values = np.asarray(_plain(found))
     except Exception:  # parts of unequal shape, an object's own error
@@ -136,9 +132,7 @@ def _in_order(values: Array | None, order: Callable[[Array], Array] | None) -> A
 
 
 def _plain(found: Any) -> Any:
-    """Return a pose as a vector and a tensor without its gradient, also in a list or tuple;
-    anything else as it is.
-    """
+    """Return poses as vectors, tensors without gradients, also in lists; the rest as it is."""
     if isinstance(found, list | tuple):
         return [_plain(one) for one in found]
     if isinstance(found, Pose):
@@ -167,9 +161,7 @@ def _stopped(error: BaseException, arguments: int) -> str:
 
 
 def where(error: BaseException) -> str:
-    """Return the line of the student's code at which it stopped: the last one in the file of the
-    function called.
-    """
+    """Return the line of the student's code at which it stopped: the last in its file."""
     _, *frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if frame.filename == frames[0].filename]
     if not own or Path(own[0].filename).is_relative_to(Path(__file__).parents[1]):
@@ -209,9 +201,7 @@ def _named(
     slips: Iterable[tuple[Answer, str]],
     order: Callable[[Array], Array] | None,
 ) -> str:
-    """Return the hint of the slip that gives the most of the failing values, if it gives the first
-    or most of them.
-    """
+    """Return the hint of the slip that gives most failing values, if the first or half of them."""
     return _elected(
         [[hint for slip, hint in slips if _gives(slip, failure, order)] for failure in failures]
     )
@@ -226,9 +216,7 @@ def _gives(slip: Answer, failure: Failure, order: Callable[[Array], Array] | Non
 
 
 def _recognised(failures: list[Failure], answer: Answer) -> str:
-    """Return the kind of slip that the values show: by what became of them, of an argument, or of a
-    part.
-    """
+    """Return the kind of slip that the values show."""
     if words := _elected(
         [list(kinds.of_values(failure.found, failure.right)) for failure in failures]
     ):
@@ -265,9 +253,7 @@ def _example(
     within: float,
     order: Callable[[Array], Array] | None,
 ) -> str:
-    """Show the smallest input on which the two differ, what the function gave and what is right,
-    beside each other.
-    """
+    """Show the smallest input on which the two differ, with what was given and what is right."""
     first = next(
         (failure for failure in failures if failure.found.shape != failure.right.shape), None
     )
@@ -295,9 +281,7 @@ def _example(
 
 
 def _text(x: Any) -> str:
-    """Return an argument in short: its numbers, or their shape if there are many; nothing of a
-    camera.
-    """
+    """Return an argument in short: its numbers, or their shape if there are many."""
     if (values := numbers(x)) is None:
         return f"those of {list(x)}" if isinstance(x, dict) else ""
     if values.size > SHOWN:
@@ -315,9 +299,7 @@ def smallest(
     within: float = 1e-6,
     order: Callable[[Array], Array] | None = None,
 ) -> Failure:
-    """Cut an example down as long as the function still differs: halves and single slices of its
-    arrays and lists.
-    """
+    """Cut an example down while the function differs: halves, single slices of its arrays."""
     until = time.monotonic() + SECONDS
     axes = [() if k in whole else _axes(x) for k, x in enumerate(failure.inputs)]
     smaller: Failure | None = failure
@@ -339,9 +321,7 @@ def _differs(
     within: float,
     order: Callable[[Array], Array] | None,
 ) -> Failure | None:
-    """Return how the two differ on some inputs, if both can be called with them and give arrays of
-    one shape.
-    """
+    """Return how the two differ on some inputs, if both give arrays of one shape."""
     try:
         found, right = (
             numbers(function(*copy.deepcopy(inputs))),
@@ -355,9 +335,7 @@ def _differs(
 
 
 def _axes(x: Any) -> Sequence[int]:
-    """Return the axes of an argument that may be cut: not the last one of coordinates or
-    colours.
-    """
+    """Return the axes of an argument that may be cut: not the last of coordinates or colours."""
     shape = (len(x),) if isinstance(x, list) else tuple(getattr(x, "shape", ()))
     return [axis for axis, size in enumerate(shape) if size > 3 or axis < len(shape) - 1]
 

@@ -1,6 +1,4 @@
-"""The kind of a slip, recognised from its values: a sign, a mirror, a shift, a factor, NaN as 0,
-swapped arguments.
-"""
+"""The kind of a slip, recognised from its values: a sign, a mirror, a shift, a factor."""
 
 from __future__ import annotations
 
@@ -101,9 +99,7 @@ def of_values(found: Array, right: Array) -> Iterator[str]:
 
 
 def of_part(found: Array, right: Array) -> Iterator[str]:
-    """Yield in words what is wrong in a few places only, or by a number that has no name: it proves
-    less.
-    """
+    """Yield what is wrong in a few places, or by a nameless factor: it proves less."""
     if found.shape != right.shape:
         return
     yield from (words for words, _ in _of_number(found, right) if right.size > 1)

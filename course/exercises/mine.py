@@ -285,9 +285,7 @@ def write_whole() -> str:
 
 
 def _join(whole: Source, part: Source, number: str, taken: set[str]) -> None:
-    """Add the source of a notebook; what has a name that another notebook uses otherwise gets
-    another.
-    """
+    """Add the source of a notebook; a name that another notebook uses otherwise is changed."""
     before = whole.imports | whole.pieces
     for name, text in (part.imports | part.pieces).items():
         if name in taken or before.get(name, text) != text:

@@ -108,9 +108,7 @@ class Open:
         return self.draw(np.random.default_rng((k, seed)), k)
 
     def check(self, function: Answer, seed: int = 0) -> str:
-        """Try a function on all cases; return `RIGHT`, `NOT_WRITTEN` and what to do, or "not yet: "
-        and why.
-        """
+        """Try a function on all cases; return `RIGHT`, `NOT_WRITTEN`, or "not yet: " and why."""
         return self.diagnose(function, (self.inputs(k, seed) for k in range(CASES)))
 
     def diagnose(self, function: Answer, cases: Iterable[tuple]) -> str:
@@ -120,9 +118,7 @@ class Open:
         )
 
     def __call__(self, function: Answer) -> Answer:
-        """Print what `check` says of the student's function; return it if it is right, and the
-        answer if it is not.
-        """
+        """Print what `check` says; return the student's function if right, else the answer."""
         if function is self.answer:  # bound by the run before
             print(
                 f"{self.name}: this is the solution. To check yours, run its cell again, then"
@@ -155,9 +151,7 @@ class Open:
         return self.answer
 
     def _accept(self, function: Answer) -> Answer:
-        """Say that it is right, keep it, and return it, or the answer if the notebook would wait
-        for it.
-        """
+        """Say that it is right and keep it; return it, or the answer if it is too slow."""
         self.solved = True
         functions = [
             value

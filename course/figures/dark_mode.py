@@ -1,6 +1,4 @@
-"""Images of the book in light and dark mode: white paper becomes dark, photographs stay as they
-are.
-"""
+"""Images of the book in light and dark mode: paper becomes dark, photographs stay."""
 
 import hashlib
 import html
@@ -59,9 +57,7 @@ def picture(
 
 
 def for_dark_page(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a figure (H, W, 3) with light ink on dark paper; hues, photographs and maps stay as
-    they are.
-    """
+    """Return a figure (H, W, 3) with light ink on dark paper; hues and photographs stay."""
     low, high = (reduce(each, cv2.split(rgb)) for each in (cv2.min, cv2.max))
     inverted = rgb + cv2.merge([255 - high - low] * 3)  # invert lightness, keep hue; modulo 256
     dark: NDArray[Any] = cv2.LUT(inverted, _SHADES)

@@ -159,9 +159,7 @@ def sphere_sweep() -> Figure:
 
 
 def lens_section(camera: OcamCamera) -> Figure:
-    """The lens from the side, to scale: the surface (r, -f(r)) of the polynomial, and three rays
-    through it.
-    """
+    """The lens from the side, to scale: the surface (r, -f(r)), and three rays through it."""
     fig, (ax,) = _canvas(8, 4.2)
     r = np.linspace(0, 372, 200)
     f = np.polynomial.polynomial.polyval(r, camera.poly)
@@ -185,9 +183,7 @@ def lens_section(camera: OcamCamera) -> Figure:
 
 
 def board_triangle() -> Figure:
-    """Two cameras and a board as three frames, with the pose of each arrow: two are known, one
-    follows.
-    """
+    """Two cameras and a board as frames, a pose to each arrow: two are known, one follows."""
     fig, (ax,) = _canvas(8, 3.6)
     places = {
         "camera 1": ((0, 0), FIRST, 25),
@@ -225,9 +221,7 @@ def board_triangle() -> Figure:
 
 
 def line_of_sight() -> Figure:
-    """Where a camera's image of a thing appears on two spheres with the right pose, and on one with
-    a wrong pose.
-    """
+    """Where an image of a thing appears on two spheres, and on one with a wrong pose."""
     fig, axes = _canvas(10, 3.9, 2)
     camera, far, near, thing_deg, arc = (
         np.array([1.0, 0.0]),
@@ -279,9 +273,7 @@ def line_of_sight() -> Figure:
 
 
 def shift_along_parallax() -> Figure:
-    """Where two images show one thing on the panorama with a wrong pose, and how far a change of
-    sphere moves them.
-    """
+    """Two images of a thing on the panorama with a wrong pose, and how a sphere moves them."""
     fig, (ax,) = _canvas(9, 3.2)
     places, steps = np.array([[[0.0, 0.0], [3.4, 0.95]], [[0.5, 0.06], [-0.6, -0.04]]])
     e, p = places[0] - places[1], steps[0] - steps[1]
@@ -310,9 +302,7 @@ def shift_along_parallax() -> Figure:
 
 
 def window_problems() -> Figure:
-    """Three windows that match where they should not: no texture, an edge along the search, an
-    outline.
-    """
+    """Three windows that match wrongly: no texture, an edge along the search, an outline."""
     fig, axes = _canvas(10, 2.6, 3)
     rng = np.random.default_rng(3)
     for ax in axes:
@@ -445,9 +435,7 @@ def slanted_window() -> Figure:
 
 
 def patch_tower() -> Figure:
-    """The fast network as squares: each 3 × 3 convolution takes the rim away, until one pixel has
-    seen all 9 × 9.
-    """
+    """The fast network as squares: each 3 × 3 convolution takes the rim away from 9 × 9."""
     fig, (ax,) = _canvas(9, 2.9)
     x = 0.0
     for size, channels in ((9, 1), (7, 64), (5, 64), (3, 64), (1, 64)):
@@ -466,9 +454,7 @@ def patch_tower() -> Figure:
 
 
 def sweepnet() -> Figure:
-    """Table I as boxes: the features of two cameras and their comparison; below, one block with its
-    shortcut.
-    """
+    """Table I as boxes: features of two cameras, their comparison, one block below."""
     fig, (ax,) = _canvas(10, 4.2)
     ax.set_aspect("auto")
     images, features = "image\n1 × H × W", "conv1 … conv18\n32 × H/2 × W/2"
@@ -507,9 +493,7 @@ def sweepnet() -> Figure:
 
 
 def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
-    """The values of the frames, three resamples of them with their means, and the means of ten
-    thousand.
-    """
+    """The values of the frames, three resamples with means, and the means of ten thousand."""
     rng = np.random.default_rng(0)
     fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3.0), layout="constrained")
     ranks = np.argsort(np.argsort(values))
@@ -537,9 +521,7 @@ def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
 
 
 def slabs() -> Figure:
-    """Two rays and a box between two pairs of lines: one ray is between both pairs for a while, the
-    other never.
-    """
+    """Two rays and a box of two pairs of lines: one ray is between both for a while."""
     fig, (ax,) = _canvas(8, 3.9)
     low, high = np.array([2.0, 0.6]), np.array([4.2, 2.2])
     for place in (low[0], high[0]):
@@ -588,9 +570,7 @@ def depth_triangle() -> Figure:
 
 
 def doubled_contour() -> Figure:
-    """Why a wrong depth doubles a contour: on the surface that is too near, each camera paints the
-    pole elsewhere.
-    """
+    """Why a wrong depth doubles a contour: each camera paints the pole elsewhere."""
     fig, (ax,) = _canvas(8, 3.8)
     pole, radius = np.array([0.3, 2.7]), 1.6
     arc = np.radians(np.linspace(30, 150, 60))
@@ -648,9 +628,7 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
 def unet(
     size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (16, 32, 48, 64)
 ) -> Figure:
-    """VolumeNet's U-net as boxes in the shape of its letter, with channels and columns × rows ×
-    spheres.
-    """
+    """VolumeNet's U-net as boxes, with channels and columns × rows × spheres."""
     sides = [" × ".join(str(side // 2**level) for side in size) for level in range(len(widths))]
     last = len(widths) - 1
     levels = [0, *range(last + 1), *reversed(range(last)), 0]
@@ -679,9 +657,7 @@ def unet(
 
 
 def board_rays() -> Figure:
-    """A board from the side: what its pose consists of, and the rays from the camera to its
-    corners.
-    """
+    """A board from the side: what its pose consists of, and the rays to its corners."""
     fig, (ax,) = _canvas(8, 3.6)
     origin, along = np.array([-0.9, 1.9]), np.array([0.95, -0.31])
     for k in range(6):

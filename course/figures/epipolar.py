@@ -14,9 +14,7 @@ from omnistereo_lib.geometry.pose import Pose
 
 
 def epipolar_plane() -> Figure:
-    """Draw two cameras and the plane of ray x and the baseline as a floor: ray y in it (left), and
-    above it (right).
-    """
+    """Draw two cameras and the plane of ray x: ray y in it (left), and above it (right)."""
     fig, panels = _canvas(10, 2.7, panels=2)
 
     def on_floor(right: float, back: float, up: float = 0.0) -> Point:
@@ -98,9 +96,7 @@ def draw_misses(
 
 
 def _angles(lines: NDArray[Any]) -> NDArray[Any]:
-    """Return θ from 0° to 360° and φ along lines of rays (K, L, 3) of any length, (K, L, 2); NaN
-    beside θ = 0.
-    """
+    """Return θ, 0° to 360°, and φ of lines of rays (K, L, 3): (K, L, 2), NaN at the seam."""
     x, y, z = np.moveaxis(lines, -1, 0)
     theta, phi = np.degrees(np.arctan2(x, z)) % 360, np.degrees(np.arctan2(y, np.hypot(x, z)))
     jumps = np.abs(np.diff(theta, axis=1, prepend=theta[:, :1])) > 180

@@ -320,9 +320,7 @@ def draw_panorama(
 def draw_depth(
     ax: Axes, inverse_depth: NDArray[Any], grid: SphereGrid, title: str = ""
 ) -> AxesImage:
-    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are
-    striped.
-    """
+    """Draw a panorama of inverse depth (H, W), 1/m, a bar in metres; unknown is striped."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 

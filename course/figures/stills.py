@@ -43,9 +43,7 @@ def recording() -> bool:
 
 
 def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget]) -> None:
-    """Store stills: `draw` returns images, shown one below the other, for values of the sliders by
-    name.
-    """
+    """Store stills: `draw` returns the images for values of the sliders by name."""
     folder, index = _open()
     start = {name: slider.value for name, slider in sliders.items()}
     shown: list[dict[str, Any]] = []
@@ -72,9 +70,7 @@ def record_view(data: dict[str, Any]) -> None:
 
 
 def places(slider: Widget, count: int) -> list[float]:
-    """Return about `count` values of a slider, evenly spaced over its range, its present value
-    among them.
-    """
+    """Return about `count` even values of a slider, its present value among them."""
     base = getattr(slider, "base", None)  # logarithmic sliders have one
     if options := getattr(slider, "options", None):  # of a slider over labels: (label, value)
         stands, low, high, step = slider.index, 0, len(options) - 1, 1

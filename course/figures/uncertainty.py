@@ -133,9 +133,7 @@ def _rig(params: CalibrationParams, report: RigReport) -> Rig:
 
 @dataclass(frozen=True)
 class _Linearized:
-    """Projection of one camera of the right rig, linearized at the point of every ray on a
-    sphere.
-    """
+    """Projection of one camera, linearized at the point of every ray on a sphere."""
 
     pixels: Floats  # u, (H, W, 2)
     valid: NDArray[np.bool_]  # (H, W)

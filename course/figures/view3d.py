@@ -102,9 +102,7 @@ def draw_mesh(
 
 
 def _headless() -> dict[str, str]:
-    """Return the environment in which VTK renders without a display and without a warning about
-    it.
-    """
+    """Return the environment in which VTK renders without a display, silently."""
     if sys.platform == "linux" and "DISPLAY" not in os.environ:
         return {**os.environ, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
     return dict(os.environ)

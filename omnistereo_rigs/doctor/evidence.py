@@ -150,9 +150,7 @@ class Evidence:
         return table
 
     def preference(self, rig: Rig, other: Rig) -> float:
-        """Return by how many standard errors the matches prefer another rig; neighbouring matches
-        count as one.
-        """
+        """Return by how many standard errors the matches, one a cell, prefer another rig."""
         gain, cells = [], []
         for k, (i, j) in enumerate(self._pairs):
             x, y = self.rays(rig.cameras, (i, j))

@@ -99,9 +99,7 @@ def _free_pose(evidence: Evidence, rig: Rig, k: int, pairs: dict[Pair, RelativeP
 
 
 def _starts(rig: Rig, k: int, pairs: dict[Pair, RelativePose]) -> list[Pose]:
-    """Return poses of camera k from its relative poses: the rotation of each, the centre where
-    their lines meet.
-    """
+    """Return poses of camera k from its relative poses: rotations, and where their lines meet."""
     rotations, A, b = [], 1e-3 * np.eye(3), 1e-3 * rig.T_rig_cam[k].t
     for pair, found in pairs.items():
         if k in pair:

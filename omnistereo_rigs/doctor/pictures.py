@@ -60,9 +60,7 @@ class PictureMixup:
 
 
 def picture_mixups(evidence: Evidence, rig: Rig) -> list[PictureMixup]:
-    """Return what may have been done to the pictures, best first, those that are simpler with a
-    start.
-    """
+    """Return what may have been done to the pictures, best first; simple ones get a start."""
     count, sizes = len(rig), [camera.image_size for camera in rig.cameras]
     known = [[*flips(size)] for size in sizes]
     scores = _Scores(evidence, rig)
@@ -75,9 +73,7 @@ def picture_mixups(evidence: Evidence, rig: Rig) -> list[PictureMixup]:
 
 
 def orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Yield the orders of the images, the given one first: all up to four cameras, else two swapped
-    or all moved on.
-    """
+    """Yield the orders of images: the given one, then all up to four, else swaps and cycles."""
     same = tuple(range(count))
     if count <= _MOST:
         yield from permutations(same)

@@ -206,9 +206,7 @@ def rig_from_pairs(
     features: Sequence[Sequence[Features]],
     baseline: float,
 ) -> Rig:
-    """Return a first rig, frame of camera 1, from features and the distance of cameras 1 and 2; see
-    `chain_poses`.
-    """
+    """Return a first rig, frame of camera 1, from features and a distance; see `chain_poses`."""
     # Images show everything but the size; one known length scales all centres.
     rig = Rig(cameras, chain_poses(find_pairs(features), len(cameras)))
     grown = baseline / rig.baselines[0]

@@ -187,9 +187,7 @@ class Ray:
 
     @property
     def jump(self) -> float:
-        """Spheres by which neighbouring rays around differ at most, of those between the estimate
-        and the rival.
-        """
+        """Spheres by which rays around differ at most, between the estimate and the rival."""
         rival = self.rival.sphere if self.rival else self.index
         between = self.around.clip(min(self.index, rival), max(self.index, rival))
         steps = [np.abs(np.diff(between, axis=axis)).ravel() for axis in (0, 1)]

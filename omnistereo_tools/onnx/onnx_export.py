@@ -1,6 +1,4 @@
-"""VolumeNet for a rig as one ONNX file, images in and depth out, with a script that runs it without
-torch.
-"""
+"""VolumeNet for a rig as one ONNX file, with a script that runs it without torch."""
 
 import shutil
 import warnings
@@ -98,9 +96,7 @@ class DepthGraph(nn.Module):
             self.register_buffer(f"inverse_depth{number}", inverse_depth)
 
     def forward(self, *images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h,
-        w, 3) per camera.
-        """
+        """Return inverse depth, 1/m, and confidence, (H, W), NaN = unknown, of (h, w, 3) images."""
         grid, sizes = self.grid, volume_sizes(self.grid, self.rig)
         *_, correlation = correlations = [
             self._correlation(images, k, size) for k, size in enumerate(sizes)
@@ -159,9 +155,7 @@ def _constant(g: Any, value: object) -> Any:
 
 
 def _double(g: Any, volume: Any, *_: Any) -> Any:
-    """Write the doubling of a volume as two Resize of pictures: OpenCV 5 and tract refuse one of
-    five dimensions.
-    """
+    """Write the doubling as two Resize of pictures: OpenCV 5 and tract refuse five axes."""
     batch, channels, w, h, n = volume.type().sizes()
 
     def resize(x: Any, shape: list[int], scales: list[float]) -> Any:

@@ -178,9 +178,7 @@ def _cells(padded: NDArray[Any]) -> NDArray[Any]:
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:
-    """Return the squared distance of each pixel from the nearest invisible one, the largest 1:
-    (height, width, 1).
-    """
+    """Return the squared distance from the nearest invisible pixel, (h, w, 1), largest 1."""
     visible = np.pad(camera.visible_pixels().astype(np.uint8), 1)  # the image ends in a rim, too
     distance = cv2.distanceTransform(visible, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return (distance / distance.max())[..., None] ** 2

@@ -131,9 +131,7 @@ def where_next(report: CameraReport, camera: OcamCamera) -> str:
 
 
 def _part(camera: OcamCamera, ring: str, sector: int) -> NDArray[np.float64]:
-    """Return the rays of a part of the image, evenly over its area, from its inner edge to its
-    outer one: (24, 24, 3).
-    """
+    """Return rays of a part of the image, even by area, from its inner edge out: (24, 24, 3)."""
     low, high = np.cos(np.radians(np.minimum(_RINGS[ring], camera.max_fov_deg / 2 - 0.5)))
     half = np.pi if ring == _CENTRE else np.pi / 8
     cosine = np.linspace(low, high, 24)[:, None]

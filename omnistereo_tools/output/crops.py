@@ -1,6 +1,4 @@
-"""Perspective crops of the fisheye images with depth and poses, for NeRF and Gaussian splatting
-programs.
-"""
+"""Perspective crops with depth and poses, for NeRF and Gaussian splatting programs."""
 
 import json
 from collections.abc import Iterator
@@ -40,18 +38,14 @@ class Crop:
         return float(self.size / 2 / np.tan(np.radians(_FOV_DEG / 2)))
 
     def rays(self) -> NDArray[np.float64]:
-        """Return the viewing ray of every pixel with z = 1 in its own frame, shape (size, size,
-        3).
-        """
+        """Return the ray of every pixel, z = 1 in its own frame, (size, size, 3)."""
         offset = (np.arange(self.size) + 0.5 - self.size / 2) / self.focal
         x, y = np.meshgrid(offset, offset)
         return np.stack([x, y, np.ones_like(x)], -1)
 
 
 def crops_of(lens: OcamCamera, pose: Pose) -> Iterator[Crop]:
-    """Yield the faces of a cube that the field of view of a camera reaches, as fine as its image;
-    nothing of it is left out.
-    """
+    """Yield the faces of a cube that a camera's field of view reaches, as fine as its image."""
     half = lens.max_fov_deg / 2
     corner = np.degrees(np.arctan(np.sqrt(2) * np.tan(np.radians(_FOV_DEG / 2))))
     turns = [(0.0, 0.0)]  # pitch and yaw
@@ -103,9 +97,7 @@ def write_crops(out: Path, depth: Depth, limits: Limits, cloud: PointCloud) -> i
 def crop_image(
     crop: Crop, lens: OcamCamera, pose: Pose, image: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the image of a crop, undistorted, 0 to 255, and where the camera sees it, (size,
-    size).
-    """
+    """Return the undistorted image of a crop, 0 to 255, and where it is seen, (size, size)."""
     uv, visible = lens.project(crop.rays() @ crop.T_rig_crop.R.T @ pose.R)
     maps = np.where(visible[..., None], uv, OUTSIDE).astype(np.float32)
     return np.nan_to_num(remap(np.asarray(image, np.float32), maps)), visible

@@ -89,9 +89,7 @@ def draw_frame(
 
 
 def panes(grid: SphereGrid) -> tuple[int, int]:
-    """Return the first row and the height of the panoramas in `draw_frame`, px: two side by
-    side.
-    """
+    """Return first row and height, px, of the panoramas of `draw_frame`: two side by side."""
     height = min(round(FILM[0] / 2 * grid.height / grid.width), FILM[1] // 2) // 2 * 2
     return FILM[1] - _STRIP_PX - height, height
 

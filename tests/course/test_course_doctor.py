@@ -1,6 +1,4 @@
-"""The doctor of the clone: a line for each requirement, the fix with each failure, never a
-crash.
-"""
+"""The doctor of the clone: a line for each requirement, with its fix, never a crash."""
 
 import hashlib
 import json

@@ -451,9 +451,7 @@ def test_values_come_back(value, expected):
 
 
 def test_what_would_be_a_large_array_is_not_made_one():
-    """Every element of an array of texts has the room of the longest: a megabyte would take 4
-    GiB.
-    """
+    """An array of texts has the room of the longest for each: a megabyte would take 4 GiB."""
     with pytest.raises(MemoryError, match=r"would take 229\d MiB as an array"):
         answered(lambda: ["a" * 10**6] + [""] * 600)
 

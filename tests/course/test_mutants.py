@@ -71,9 +71,7 @@ def changes(node):
 
 
 def mutants(function):
-    """Yield a function with one thing changed, and its source, for each thing that can be
-    changed.
-    """
+    """Yield a function and its source for each thing that can be changed in it."""
     tree = ast.parse(inspect.getsource(function))
     size = len(list(ast.walk(tree)))
     for place in range(size):

@@ -1,6 +1,4 @@
-"""What the website shows beside text: pictures for dark pages, stills of live figures, the
-viewer.
-"""
+"""What the website shows beside text: dark pictures, stills of live figures, the viewer."""
 
 import io
 import json

@@ -1,6 +1,4 @@
-"""Endless worlds: frames by number alone, finite, of many kinds; the images agree with the
-depth.
-"""
+"""Endless worlds: frames by number, of many kinds; images agree with the depth."""
 
 from dataclasses import replace
 from functools import partial

@@ -21,9 +21,7 @@ GT = np.random.default_rng(0).uniform(0, 1 / 0.55, (8, 32)).astype(np.float32)  
 
 
 def save(folder, numbers, digits=4, rig=RIG, cameras=4, gt="omnidepth_gt_32"):
-    """Write a data set of the public layout; each image holds the numbers of its camera and
-    frame.
-    """
+    """Write a data set; each image holds the numbers of its camera and frame."""
     folder.mkdir(parents=True, exist_ok=True)
     osl.save_rig(rig, folder / "config.yaml")
     for k in range(1, cameras + 1):

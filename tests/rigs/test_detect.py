@@ -39,9 +39,7 @@ def rays_of(uv, lens, center=CENTER):
 
 
 def draw(pose, board=BOARD, lens="equidistant 210", seed=0, blur=0.5, noise=2.0):
-    """A picture, uint8, of the board at T_cam_board before an uneven background, blurred and
-    noisy.
-    """
+    """A picture of the board at T_cam_board, uneven background, blurred and noisy."""
     width, height = SIZE
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     picture = 110 + 30 * np.sin(u / 90 + 1) * np.cos(v / 70) + 25 * u / width
@@ -90,9 +88,7 @@ def around(board):
 
 
 def place(angle_deg, azimuth_deg=20.0, distance=0.8, board=BOARD, tilt=(0.2, -0.15, 0.1)):
-    """T_cam_board with the board's middle so far from the axis, facing the camera, but for a
-    tilt.
-    """
+    """T_cam_board with its middle so far from the axis, facing the camera but for a tilt."""
     there = Pose.from_vector([0, 0, np.radians(azimuth_deg), 0, 0, 0]) @ Pose.from_vector(
         [0, np.radians(angle_deg), 0, 0, 0, 0]
     )

@@ -1,6 +1,4 @@
-"""Frames on a cluster of two processes, one of which is killed: the files are those of a local
-run.
-"""
+"""Frames on two processes, one of which is killed: the files are those of a local run."""
 
 import os
 import shutil

@@ -514,9 +514,7 @@ def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
 
 
 def test_a_picture_is_of_one_moment_only(tmp_path):
-    """The second camera is twice as fast: of its two pictures of an interval the nearer is
-    taken.
-    """
+    """The second camera is twice as fast: of its two pictures the nearer is taken."""
     slow, fast = ([1700000000.0 + k / rate for k in range(n)] for rate, n in ((10, 4), (20, 8)))
     a = pictures(tmp_path / "a", *(f"{t:.6f}".rstrip("0") + "0.png" for t in slow))
     b = pictures(tmp_path / "b", *(f"{t + 0.001:.6f}.png" for t in fast))

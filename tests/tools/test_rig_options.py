@@ -20,9 +20,7 @@ SMALL = ["--grid", "96x24x16", "--method", "zncc"]
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """A rig in the frame of a robot, its images, and the same images black beyond 160° of the
-    lens.
-    """
+    """A rig in a robot's frame, its images, and the same black beyond 160° of the lens."""
     folder, rig = tmp_path_factory.mktemp("robot"), scene.rig(width=200, height=192)
     pictures = scene.images(rig, finest=0.25)
     osl.save_rig(osl.Rig(rig.cameras, rig.transformed(FLU).T_rig_cam, 0.5), folder / "rig.yaml")

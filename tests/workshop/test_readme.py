@@ -49,9 +49,7 @@ def test_every_link_leads_to_a_file_and_a_heading_of_the_clone(path):
 
 @each_page
 def test_a_code_host_shows_all_of_it(path):
-    """No role or directive, which only the website knows, and no place that only a program
-    fills.
-    """
+    """No role or directive, which only the website knows; no place for a program to fill."""
     text = without_code(TEXTS[path])
     assert re.findall(r"\{\w+\}`|^```+\{|^:::", text, re.MULTILINE) == []
     left = re.findall(r"<!-- (.*?) -->", text, re.DOTALL)

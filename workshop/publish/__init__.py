@@ -1,3 +1,1 @@
-"""For whoever changes a notebook or the book: run, check and store them; website, slides,
-README.
-"""
+"""For whoever changes a notebook or the book: website, slides, README."""

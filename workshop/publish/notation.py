@@ -1,6 +1,4 @@
-"""Figures of the page on notation: frames, pixels, panorama and spheres, drawn from the sample
-data.
-"""
+"""Figures of the page on notation, drawn from the sample data."""
 
 from pathlib import Path
 

@@ -80,9 +80,7 @@ def renew(path: Path, picture: bytes) -> bool:
 
 
 def picture(depth: Depth) -> Figure:
-    """Draw fisheye images, their panorama, its depth with a scale in metres, and its surfaces,
-    below each other.
-    """
+    """Draw fisheye images, panorama, depth with a scale in metres, and surfaces, in a column."""
     import matplotlib.pyplot as plt
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable

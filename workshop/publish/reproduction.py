@@ -48,9 +48,7 @@ PAPER = {  # (method, light) → the five metrics
 
 
 class Finding(NamedTuple):
-    """The cells of a row: the paper's value, our value, the verdict, and the reason why it is not
-    better.
-    """
+    """The cells of a row; `reason` says why the verdict is not better."""
 
     paper: str
     ours: str
@@ -123,9 +121,7 @@ def _listed(names: Sequence[str], chosen: NDArray[np.bool_]) -> str:
 
 
 def table_row(method: str, light: str) -> Comparison:
-    """Compare five metrics of Table II: those of ZNCC as they are, the others as ratios to ZNCC in
-    the same light.
-    """
+    """Compare metrics of Table II: ZNCC's as they are, the others as ratios to ZNCC's."""
 
     def text(values: NDArray[Any], zncc: NDArray[Any]) -> str:
         ratios = (
@@ -148,9 +144,7 @@ def table_row(method: str, light: str) -> Comparison:
 
 
 def below(*pairs: tuple[str, str], metrics: Sequence[str] = METRICS) -> Comparison:
-    """Compare where the first method of each pair has smaller errors than the second, by metric and
-    light.
-    """
+    """Compare where the first of each pair has smaller errors, by metric and light."""
     places = list(product(pairs, LIGHTS))
     columns = [METRICS.index(metric) for metric in metrics]
     names = [
@@ -171,9 +165,7 @@ def below(*pairs: tuple[str, str], metrics: Sequence[str] = METRICS) -> Comparis
 
 
 def unseen_light(light: str) -> Comparison:
-    """Compare by how much SweepNet + SGM is worse in a light that the network has not been trained
-    in.
-    """
+    """Compare how much worse SweepNet + SGM is in a light that it was not trained in."""
 
     def compare(results: Record) -> Finding:
         method = "sweepnet+sgm"
@@ -185,9 +177,7 @@ def unseen_light(light: str) -> Comparison:
 
 
 def shown(region: str, *sets: str) -> Comparison:
-    """Compare '>5' of SweepNet + SGM and ZNCC + SGM in a region; a picture prints no number: a
-    trend at most.
-    """
+    """Compare '>5' of two methods in a region; a picture prints no number: a trend at most."""
 
     def compare(results: Record) -> Finding:
         methods = ("sweepnet+sgm", "zncc+sgm")
@@ -215,9 +205,7 @@ def same(paper: str, ours: Callable[[Record], str], reason: str = "") -> Compari
 
 
 def labels(results: Record) -> Finding:
-    """Compare the labels to train on: for each camera pair that sees a true point, one positive and
-    one negative.
-    """
+    """Compare the labels to train on: two for each pair that sees a true point."""
     million = 2 * 350 * 600 * 150 / 1e6  # labels of a pair that sees every ray of 350 frames
     # among 0 to 4 adjacent cameras
     pairs_of_neighbours, all_pairs = (0, 0, 1, 2, 4), (0, 0, 1, 3, 6)

@@ -59,9 +59,7 @@ PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
 def build(out: Path) -> int:
-    """Build the website in the folder `out`, in place of an older one; return 0 if there was no
-    warning.
-    """
+    """Build the website in `out`, in place of an older one; return 0 if nothing was warned of."""
     with TemporaryDirectory() as folder:
         source, extra, html, trees = (
             Path(folder, name) for name in ("source", "extra", "html", "trees")
@@ -188,9 +186,7 @@ def contents(caption: str, names: str) -> str:
 
 
 def with_links(text: str) -> str:
-    """Return the Markdown of a page with its links, which lead through the clone, as they lead
-    through the website.
-    """
+    """Return the Markdown of a page with links through the website, not through the clone."""
     text = re.sub(r"\]\((\.\./|book/)", "](", text)
     text = re.sub(
         r"\]\((omnistereo_(?:lib|rigs|learn))/(\w+)(\.py)?\)", r"](reference/\1.\2.md)", text

@@ -1,6 +1,4 @@
-"""Cycles behind plain functions: set up a scene, render one fisheye picture or one depth panorama
-as an array.
-"""
+"""Cycles behind plain functions: set up a scene, render a fisheye or a depth panorama."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The image sets: which frames of which world in which light, rendered one by one, each whole or
-not at all.
-"""
+"""The image sets: frames of a world in a light, each rendered whole or not at all."""
 
 from __future__ import annotations
 
@@ -234,9 +232,7 @@ def _write_trajectory(path: Path, images: ImageSet, numbers: tuple[int, ...], se
 
 
 def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
-    """Build the city; return a function that brings a frame's traffic and gives T_world_rig, and
-    the exposure.
-    """
+    """Build the city; return a function of a frame that gives T_world_rig, and the exposure."""
     from workshop.render.city.district import build_city
     from workshop.render.surfaces.lights import add_light
 
@@ -265,9 +261,7 @@ _WORLDS = {"city": _city, "room": _room}
 def _render_frame(
     images: ImageSet, rig: RenderRig, T_world_rig: Pose, exposure: float, seed: list[int]
 ) -> tuple[list[NDArray], list[NDArray]]:
-    """Return what the four cameras see, and the inverse depth around the rig for each size of
-    truth.
-    """
+    """Return what the cameras see, and the inverse depth for each size of ground truth."""
     from workshop.render.blender import depth_panorama, fisheye_picture
     from workshop.render.camera.sensor import develop
 
@@ -292,9 +286,7 @@ def write_frame(
     min_depth: float,
     kept: int,
 ) -> None:
-    """Write a frame's files under temporary names, then rename them; of PNG truths every step
-    `kept` is used.
-    """
+    """Write a frame's files atomically; of PNG truths every step `kept` is used."""
     from PIL import Image
 
     temporaries = [path.with_name(f".{path.name}") for path in paths]
@@ -312,9 +304,7 @@ def write_frame(
 
 
 def _rounded(values: NDArray) -> NDArray[np.float32]:
-    """Round to 15 significant bits, 3.1e-5 relative at worst: finer than the scene is known, and
-    half the file.
-    """
+    """Round to 15 significant bits, 3.1e-5 relative: finer than the scene, half the file."""
     mantissa, exponent = np.frexp(values)
     return np.ldexp(np.round(mantissa * 2**15) / 2**15, exponent).astype(np.float32)
 
@@ -373,8 +363,6 @@ def pack(folder: Path) -> None:
 
 
 def renew_manifest(root: Path) -> None:
-    """Write manifest.json anew, with its seed and command, after files beside the rendered ones
-    have changed.
-    """
+    """Update manifest.json after files beside the rendered ones have changed."""
     manifest = json.loads((root / "manifest.json").read_text(encoding="utf-8"))
     write_manifest(root, manifest["seed"], manifest["command"])

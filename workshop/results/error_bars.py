@@ -178,9 +178,7 @@ def fit(rays: Rays, name: str) -> dict[str, dict[str, float]]:
 
 
 def quantile_weights(X: NDArray[Any], y: NDArray[Any], share: NDArray[Any]) -> NDArray[Any]:
-    """Return w such that a share of y, given for each row, is below X w: the pinball loss, first
-    column constant.
-    """
+    """Return w so that a share of y is below X w: the pinball loss, first column constant."""
     mean, scale = X.mean(0), np.maximum(X.std(0), 1e-6)
     mean[0], scale[0] = 0, 1
     Z, target, level = (torch.from_numpy(a).float() for a in ((X - mean) / scale, y, share))

@@ -281,9 +281,7 @@ def test_copies_do_what_the_original_does(copy):
 
 
 def test_right_types_of_every_kind(tmp_path):
-    """A path may be text or a path, a sequence an array; numbers of NumPy are left to the
-    function.
-    """
+    """A path may be text, a sequence an array; numbers of NumPy are left to the function."""
     osl.save_rig(RIG, str(tmp_path / "rig.yaml"))
     assert (
         len(osl.load_rig(tmp_path / "rig.yaml"))

@@ -29,9 +29,7 @@ def index(method):
 
 
 class Frames(Dataset):
-    """One estimate per method, as a training that prepares depth in its workers would ask for
-    it.
-    """
+    """One estimate per method, as a training asks for that prepares depth in its workers."""
 
     def __len__(self):
         return len(METHODS)

@@ -121,9 +121,7 @@ def test_volumenet_beats_zncc_with_sgm(name, number, size, ratio):
 
 
 def test_fast_inference_is_the_plain_networks(frame):
-    """Trained weights are larger than those that a network starts with: the crops must stay
-    exact.
-    """
+    """Trained weights are larger than random ones: the crops must stay exact."""
     sweep = osl.SphereSweep(
         osl.load_dataset(SUNNY, split="test").rig,
         osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65),

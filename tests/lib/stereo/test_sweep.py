@@ -143,9 +143,7 @@ def test_normalized_images_have_zero_mean_and_unit_variance_over_the_image_circl
 
 @pytest.mark.parametrize("spacing", [1.5, 2.0, 4.0])
 def test_the_blur_is_half_the_spacing_of_the_samples(spacing):
-    """Measured on an impulse: its variance and that of a pixel, 0.5², are (spacing / 2)²
-    together.
-    """
+    """Variances of the impulse and of a pixel, 0.5², are (spacing / 2)² together."""
     impulse = np.zeros((41, 41), np.float32)
     impulse[20, 20] = 1
     blurred = blur(impulse, blur_px(spacing)).astype(float)

@@ -1,6 +1,4 @@
-"""Sample rig files of every format, written by hand, and the helpers of the tests that read
-them.
-"""
+"""Rig files of every format, written by hand, and the helpers of tests that read them."""
 
 import json
 import re
@@ -138,9 +136,7 @@ FOCAL = [300.0, 299.0, 400.0, 380.0]
 
 
 def kalibr(*chain, **first):
-    """A chain of double sphere cameras; `chain` holds T_cn_cnm1, `first` replaces entries of
-    cam0.
-    """
+    """A chain of double sphere cameras; `first` replaces entries of cam0."""
     lens = {"camera_model": "ds", "intrinsics": [-0.28, 0.57, *FOCAL], "distortion_model": "none"}
     lens |= {"distortion_coeffs": [], "resolution": list(SIZE), "rostopic": "/cam"}
     cameras = {f"cam{n}": lens | {"T_cn_cnm1": T.tolist()} for n, T in enumerate(chain, 1)}

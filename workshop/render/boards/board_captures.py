@@ -132,9 +132,7 @@ def _picture(
 
 
 def soften(light: NDArray, sigma: float) -> NDArray[np.float64]:
-    """Return a picture behind a lens whose points are Gaussians of `sigma` pixels; around the
-    edges, which are dark.
-    """
+    """Return a picture blurred by a Gaussian of `sigma` pixels; outside it is dark."""
     offsets = np.arange(-4, 5)
     weights = np.exp(-0.5 * (offsets / sigma) ** 2)
     weights /= weights.sum()
@@ -147,9 +145,7 @@ def soften(light: NDArray, sigma: float) -> NDArray[np.float64]:
 
 
 def _write(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture under a temporary name, which a run after a kill takes again, then rename
-    it.
-    """
+    """Write a picture under a temporary name, which a later run takes again, then rename it."""
     from PIL import Image
 
     temporary = path.with_name(f".{path.name}")

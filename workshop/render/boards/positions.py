@@ -1,6 +1,4 @@
-"""Where the checkerboard of the calibration captures is, which cameras see it, its true corners;
-only NumPy.
-"""
+"""Where the board of the calibration captures is, who sees it, its corners; only NumPy."""
 
 from __future__ import annotations
 
@@ -94,9 +92,7 @@ class Capture:
 
 
 def board_corners() -> NDArray[np.float64]:
-    """Return the inner corners in the board's frame, shape (120, 3): row by row, columns
-    fastest.
-    """
+    """Return the inner corners in the board's frame, (120, 3): row by row."""
     rows, columns = np.mgrid[:ROWS, :COLUMNS]
     return SQUARE * np.stack([columns, rows, 0 * rows], -1).reshape(-1, 3).astype(float)
 
@@ -144,9 +140,7 @@ def true_corners(
 
 
 def sees(camera: RigCamera, T_rig_board: Pose) -> bool:
-    """Return whether a camera has the whole front of the board in view, large enough to tell its
-    squares apart.
-    """
+    """Return whether a camera sees the whole front of the board, its squares large enough."""
     T_cam_board = camera.T_rig_cam.inverse() @ T_rig_board
     uv, theta = project(camera.lens, T_cam_board @ _OUTLINE)
     if T_cam_board.inverse().t[2] >= 0 or theta.max() > np.radians(_WIDEST_DEG):
@@ -156,9 +150,7 @@ def sees(camera: RigCamera, T_rig_board: Pose) -> bool:
 
 
 def _spacing(camera: RigCamera, T_rig_board: Pose) -> float:
-    """Return the smallest distance between neighbouring corners in the picture; those not in view
-    aside.
-    """
+    """Return the smallest distance between neighbouring visible corners in the picture."""
     grid = true_corners(camera, T_rig_board).reshape(ROWS, COLUMNS, 2)
     return float(
         np.nanmin([np.nanmin(np.linalg.norm(np.diff(grid, axis=axis), axis=-1)) for axis in (0, 1)])
@@ -218,9 +210,7 @@ class _Planner:
     # Places
 
     def _at_the_rim(self, c: int, turn: float) -> Pose:
-        """Move a board outwards as far as the camera has it in view; `turn` says where along the
-        rim, from 0 to 1.
-        """
+        """Move a board to the edge of the view; `turn`, 0 to 1, says where along it."""
         camera = self.rig.cameras[c]
         for _ in range(_TRIES):
             azimuth = 2 * np.pi * turn + self.rng.uniform(-0.15, 0.15)
@@ -241,9 +231,7 @@ class _Planner:
         raise OmnistereoError(f"no board reaches the rim of camera {c + 1}: another seed may do")
 
     def _in_the_field(self, c: int, share: float) -> Pose:
-        """Put a board anywhere before a camera, the further from the axis the larger `share` is;
-        the last is far.
-        """
+        """Put a board before a camera, further from the axis for a larger `share`; the last far."""
         last = share >= 1 - 1.5 / self.captures.field
         nearest, farthest = (1.2, 1.6) if last else (0.45, 0.9)
 

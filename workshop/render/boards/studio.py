@@ -1,6 +1,4 @@
-"""The studio of the calibration captures: a room whose walls shine softly, and one checkerboard on
-a pole.
-"""
+"""The studio of the calibration captures: softly shining walls, one board on a pole."""
 
 from __future__ import annotations
 
@@ -56,9 +54,7 @@ class Studio:
     def radiance(
         self, camera: RigCamera, T_rig_board: Pose, captures: CaptureSet, seed: int
     ) -> NDArray[np.float32]:
-        """Return what a camera sees of the board and the room: linear light, shape (height, width,
-        3).
-        """
+        """Return what a camera sees: linear light, shape (height, width, 3)."""
         T_world_board = T_WORLD_RIG @ T_rig_board
         self.board.matrix_world = _matrix(T_world_board)
         foot = T_world_board @ STAND

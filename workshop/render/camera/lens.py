@@ -1,6 +1,4 @@
-"""The lens: Blender's polynomial θ(r), and the OCam polynomials that describe the same rays. NumPy
-alone.
-"""
+"""The lens: Blender's polynomial θ(r), and OCam's of the same rays. NumPy alone."""
 
 from __future__ import annotations
 
@@ -48,9 +46,7 @@ class Lens:
         return r * (k1 + r * r * (k3 + r * k4))
 
     def radius(self, theta: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance from the centre in pixels, the inverse of `theta`, by Newton's
-        method.
-        """
+        """Return the distance from the centre, px: the inverse of `theta`, by Newton."""
         theta, (k1, k3, k4) = np.asarray(theta, np.float64), self.k
         r = theta / k1
         for _ in range(20):
@@ -58,9 +54,7 @@ class Lens:
         return r
 
     def blender_coefficients(self) -> tuple[float, ...]:
-        """Return fisheye_polynomial_k0 … k4: −θ as a polynomial of r in millimetres on the
-        sensor.
-        """
+        """Return fisheye_polynomial_k0 … k4: −θ by r in millimetres on the sensor."""
         px_per_mm = REFERENCE_WIDTH / SENSOR_MM
         k1, k3, k4 = self.k
         return 0.0, -k1 * px_per_mm, 0.0, -k3 * px_per_mm**3, -k4 * px_per_mm**4
@@ -79,9 +73,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class OcamFit:
-    """OCam parameters of a lens at one image size; polynomials from low to high order, in pixels of
-    that size.
-    """
+    """OCam parameters of a lens at one image size, in its pixels; low to high order."""
 
     poly: NDArray[np.float64]
     inv_poly: NDArray[np.float64]

@@ -1,6 +1,4 @@
-"""Rigs: lenses, poses and sensors of their cameras, each a little different, all recorded exactly.
-Only NumPy.
-"""
+"""Rigs: each camera a little different, all recorded exactly. Only NumPy."""
 
 from __future__ import annotations
 

@@ -51,9 +51,7 @@ def _relative_radius(shape: tuple[int, int], lens: Lens) -> NDArray[np.float64]:
 
 
 def _tone(signal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return display values in [0, 1]: a film-like curve (Narkowicz' fit of ACES), then the sRGB
-    curve.
-    """
+    """Return display values in [0, 1]: Narkowicz' fit of ACES, then the sRGB curve."""
     x = np.clip(signal, 0, None)
     film = np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1)
     return np.where(film <= 0.0031308, 12.92 * film, 1.055 * film ** (1 / 2.4) - 0.055)

@@ -1,6 +1,4 @@
-"""A district put together in Blender: streets, houses, parks, cars, people, trees, wires,
-skyline.
-"""
+"""A district in Blender: streets, houses, parks, cars, people, trees, wires, skyline."""
 
 from __future__ import annotations
 
@@ -198,9 +196,7 @@ def _park(stage: Stage, block: Block, rng: np.random.Generator) -> None:
 
 
 def _roadside(stage: Stage, block: Block, side: Side, rng: np.random.Generator) -> None:
-    """Furnish one side of a block: parked cars, masts, trees or poles with wires, small things,
-    people.
-    """
+    """Furnish one side of a block: cars, masts, trees or poles with wires, people."""
     _parked_cars(stage, side, rng)
     first, last = CORNER_RADIUS + 1.2, side.length - CORNER_RADIUS - 1.2
     stage.put("light", side.at(first, _CURB_STRIP), side.yaw)

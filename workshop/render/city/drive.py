@@ -40,9 +40,7 @@ class Drive:
 
 
 def level_rig(yaw: float) -> NDArray[np.float64]:
-    """Return R_world_rig of a level rig that looks along `yaw`: columns are its right, down and
-    forward.
-    """
+    """Return R_world_rig of a level rig along `yaw`: columns are right, down, forward."""
     forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     down = np.array([0.0, 0.0, -1.0])
     return np.stack([np.cross(down, forward), down, forward], axis=1)

@@ -152,9 +152,7 @@ def _columns(length: float, bay: float) -> NDArray[np.float64]:
 def _windows(
     mesh: Mesh, length: float, style: Style, rng: np.random.Generator, first_floor: int
 ) -> None:
-    """Fill the wall around a grid of openings: piers between columns, spandrels between floors,
-    panes inside.
-    """
+    """Fill the wall around openings: piers, spandrels between floors, panes inside."""
     centers = _columns(length, style.bay)
     half = min(style.window_width, length / len(centers) - 0.3) / 2
     levels = np.arange(first_floor, style.floors)
@@ -197,9 +195,7 @@ def openings(
     wall: str,
     rng: np.random.Generator,
 ) -> None:
-    """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill that sticks
-    out.
-    """
+    """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill."""
     n, d = len(s0), np.full(len(s0), -recess)
     corner = {c: np.stack([(s0, s1)[c & 1], d, (z0, z1)[c >> 1]], -1) for c in range(4)}
     outer = {c: p * (1, 0, 1) for c, p in corner.items()}
@@ -337,9 +333,7 @@ def _glass_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generat
 
 
 def _shop_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
-    """Add shops along the ground floor: pillars, glass, door, sign with a name, now and then an
-    awning.
-    """
+    """Add shops along the ground floor: pillars, glass, door, sign, perhaps an awning."""
     count = max(1, round(length / 6.5))
     edges = np.linspace(0, length, count + 1)
     height, board = style.ground_height, style.ground_height - 0.75
@@ -461,9 +455,7 @@ def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: np.random.Gene
 
 @cache
 def letters(word: str) -> tuple[NDArray[np.float64], float]:
-    """Return a word set in Blender's own font as triangles (n, 3, 2), capitals about 0.7 high, and
-    its width.
-    """
+    """Return a word as triangles (n, 3, 2), capitals about 0.7 high, and its width."""
     curve = bpy.data.curves.new("word", "FONT")
     curve.body, curve.resolution_u = word, 3
     text = bpy.data.objects.new("word", curve)

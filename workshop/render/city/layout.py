@@ -44,9 +44,7 @@ class Rectangle:
         return Rectangle(self.x0 + margin, self.y0 + margin, self.x1 - margin, self.y1 - margin)
 
     def sides(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
-        """Return start, unit direction (2,) and length of the four sides, counter-clockwise from
-        the south.
-        """
+        """Return start, direction (2,) and length of the sides, counter-clockwise from south."""
         (w, h), x, y = self.size, np.array([1.0, 0.0]), np.array([0.0, 1.0])
         return [
             (np.array([self.x0, self.y0]), x, w),
@@ -99,9 +97,7 @@ class Lot:
 
 @dataclass(frozen=True)
 class District:
-    """A grid of streets: x of those that run north, y of those that run east, and the blocks
-    between.
-    """
+    """A grid of streets: x of those that run north, y of those that run east; its blocks."""
 
     seed: int
     xs: NDArray[np.float64]

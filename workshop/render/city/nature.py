@@ -9,9 +9,7 @@ from workshop.render.surfaces.mesh_builder import Mesh
 
 
 def tree(rng: np.random.Generator, height: float, crown: float) -> Mesh:
-    """Return a street tree `height` metres tall whose crown stays within `crown` metres of the
-    trunk.
-    """
+    """Return a tree `height` metres tall, its crown within `crown` metres of the trunk."""
     mesh, fork = Mesh(), 0.42 * height
     trunk = np.array(
         [(0, 0, -0.1), (0.02, 0.01, 0.5 * fork), (0, 0.03, fork), (0.04, 0, 0.75 * height)]

@@ -48,9 +48,7 @@ class Traffic:
                         )
 
     def show(self, frame: int, rig_at: ArrayLike) -> None:
-        """Move all cars to where they are in `frame`; those in the way of the rig at (x, y) are
-        hidden.
-        """
+        """Move all cars to where they are in `frame`; hide those in the rig's way."""
         rig = np.asarray(rig_at, float)
         for item, along_x, line, sign, s, speed, length, low, car_length in self._cars:
             along = low + (s + sign * speed * frame) % length
@@ -74,9 +72,7 @@ class Traffic:
 def lane_point(
     along_x: bool, line: float, sign: int, along: float
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the middle of the right-hand lane, shape (2,), and the heading of a street's traffic
-    there.
-    """
+    """Return the middle of the right-hand lane, shape (2,), and its heading."""
     if along_x:
         return np.array([along, line - sign * LANE]), 0.0 if sign > 0 else np.pi
     return np.array([line + sign * LANE, along]), np.pi / 2 * sign

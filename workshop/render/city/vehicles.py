@@ -1,6 +1,4 @@
-"""Cars and vans: lofted bodies with glass, wheels, lamps, plates. Forward is +x, the ground is z =
-0.
-"""
+"""Cars and vans: lofted bodies with glass, wheels, lamps. Forward is +x, ground z = 0."""
 
 from __future__ import annotations
 
@@ -95,9 +93,7 @@ def car(kind: str) -> Mesh:
 
 
 def _shell(mesh: Mesh, body: Body) -> None:
-    """Loft cross-sections from tail to nose; the faces above the belt and inside the cabin are
-    glass.
-    """
+    """Loft cross-sections from tail to nose; above the belt and in the cabin is glass."""
     t = np.unique(np.concatenate([np.linspace(0, 1, 41), body.stations, body.cabin]))
     x = (t - 0.5) * body.length
     top = np.interp(t, body.stations, body.tops)

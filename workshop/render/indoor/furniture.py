@@ -16,9 +16,7 @@ from workshop.render.surfaces.mesh_builder import Mesh
 def cushion(
     mesh: Mesh, center: ArrayLike, size: ArrayLike, material: str, value: float = 0.5
 ) -> None:
-    """Add a soft box of a full `size`: a superellipsoid, flat in the middle and round at the
-    edges.
-    """
+    """Add a soft box of a full `size`: a superellipsoid, flat in the middle."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 13)[:, None]
     angle = np.linspace(0, 2 * np.pi, 29)
     bent = (np.sign(wave) * np.abs(wave) ** 0.35 for wave in (np.cos(angle), np.sin(angle)))
@@ -32,9 +30,7 @@ def cushion(
 
 
 def bookcase(rng: np.random.Generator, width: float, height: float) -> Mesh:
-    """Return open shelves along y, 0.3 m deep, with books that stand, lean and lie, and a few other
-    things.
-    """
+    """Return open shelves along y, 0.3 m deep, with books and a few other things."""
     mesh, shelves = Mesh(), np.linspace(0.08, height - 0.03, round(height / 0.35) + 1)
     mesh.box((0, 0, 0), (0.012, width, height), "oak", 0.2)
     mesh.box(
@@ -373,9 +369,7 @@ def clock() -> Mesh:
 
 
 def sideboard(rng: np.random.Generator, width: float = 1.7) -> Mesh:
-    """Return a low cupboard along y with a television, loudspeakers, a row of records and their
-    cables.
-    """
+    """Return a low cupboard along y: television, loudspeakers, records, cables."""
     mesh, top = Mesh(), 0.55
     mesh.box((0, 0, 0.12), (0.42, width, top), "oak", 0.25)
     mesh.box(

@@ -42,9 +42,7 @@ def build_room(plan: RoomPlan, rng: np.random.Generator) -> None:
 
 
 def _paint(rng: np.random.Generator, lightest: float = 0.8) -> Any:
-    """Return the material of a blank wall: white, gray or a pale colour, plain or with a grain of a
-    few percent.
-    """
+    """Return the material of a blank wall: pale, plain or with a grain of a few percent."""
     value, hue = rng.uniform(0.25, lightest) ** 0.5 * lightest**0.5, rng.uniform(0.92, 1.0, 3)
     color = tuple(float(c) for c in value * hue)
     s, grain = Shader("paint"), rng.choice([0.0, 0.015, 0.04])
@@ -155,9 +153,7 @@ def _outside(stage: Stage, plan: RoomPlan, rng: np.random.Generator) -> None:
 
 
 def _window_light(plan: RoomPlan, w: Opening, watts: float) -> None:
-    """Shine through a window: a camera's range of brightness is far smaller than that between a
-    room and the sky.
-    """
+    """Shine through a window: a camera's range is smaller than from a room to the sky."""
     start, along, outward, _ = wall_frame(plan.size, w.side)
     light = _area_light(
         "window", w.end - w.start, w.top - w.sill, watts * (w.end - w.start) * (w.top - w.sill)

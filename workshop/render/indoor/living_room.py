@@ -42,9 +42,7 @@ def room_pose(index: int) -> Pose:
 
 
 def build_room(light: str, seed: int) -> float:
-    """Fill the current Blender scene with the room and what its window shows; return the
-    exposure.
-    """
+    """Fill the scene with the room and its window's view; return the exposure."""
     stage, rng = Stage(), np.random.default_rng([seed, 8])
     stage.add(_shell(), "shell")
     stage.add(_joinery(), "joinery")
@@ -78,9 +76,7 @@ def _shell() -> Mesh:
 
 
 def _joinery() -> Mesh:
-    """Return skirting boards, the window's frame and sill, the door in the south wall, a socket and
-    a switch.
-    """
+    """Return skirting boards, window frame and sill, the door, a socket and a switch."""
     mesh, (x0, z0), (x1, z1) = Mesh(), *_WINDOW
     skirting = [
         ((0, 0), (0.014, _WIDE)),
@@ -244,9 +240,7 @@ def _outside(stage: Stage, rng: np.random.Generator) -> None:
 
 
 def _lamps(stage: Stage) -> None:
-    """Hang a globe under the ceiling, light the lamps, and let the sky's light in through the
-    window.
-    """
+    """Hang a globe, light the lamps, and let the sky's light in through the window."""
     globe = Mesh()
     globe.ball(_LAMP, (0.16, 0.16, 0.16), "bulb", 16)
     globe.tube([_LAMP + np.array([0, 0, 0.15]), (*_LAMP[:2], _HIGH)], 0.012, "rim", 10)
@@ -295,9 +289,7 @@ def _shine(light: Any, at: ArrayLike) -> Any:
 
 @recipe
 def wall_paint(s: Shader) -> Any:
-    """Emulsion paint on plaster: a grain of a few percent, clouds fainter still. The face's value
-    is the colour.
-    """
+    """Emulsion paint on plaster: a faint grain, fainter clouds. The face's value is the colour."""
     color = s.mix(s.value, (0.72, 0.69, 0.62), (0.42, 0.52, 0.5))
     grained = s.shade(color, 0.93, 1.05, s.noise(55.0, 4, 0.7))
     return s.finish(s.shade(grained, 0.95, 1.03, s.noise(1.1, 3)), color)

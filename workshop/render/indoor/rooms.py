@@ -31,9 +31,7 @@ SMALL_MATERIALS = 6  # random materials "0" to "5" of small things
 
 @dataclass(frozen=True)
 class Opening:
-    """A window in a wall: side (index of the wall, see `wall_frame`), extent along the wall and
-    upwards in metres.
-    """
+    """A window in a wall: side (see `wall_frame`), extent along the wall and upwards, metres."""
 
     side: int
     start: float
@@ -44,9 +42,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Piece:
-    """Something in the room: a mesh, its position (3,), yaw, scale, and the box around it, (2,
-    3).
-    """
+    """Something in the room: mesh, position (3,), yaw, scale, and its box, (2, 3)."""
 
     mesh: Mesh
     at: NDArray[np.float64]
@@ -137,9 +133,7 @@ def _furnish(plan: RoomPlan, rng: np.random.Generator, count: float) -> None:
 def _place(
     plan: RoomPlan, mesh: Mesh, at: NDArray[np.float64], yaw: float, scale: float = 1.0
 ) -> bool:
-    """Add a piece if it is inside the room, off the rig and clear of other pieces; return whether
-    it was.
-    """
+    """Add a piece if it is inside the room and clear of rig and pieces; return whether."""
     box = bounds_after(mesh, yaw, scale, at)
     if (box[0] < -0.01).any() or (box[1] > plan.size + 0.01).any():
         return False

@@ -1,6 +1,4 @@
-"""The three lights of the paper: sunny, cloudy, sunset, each a sky that shines and, but for cloudy,
-a sun.
-"""
+"""The lights of the paper: sunny, cloudy, sunset; each a sky, two with a sun."""
 
 from __future__ import annotations
 
@@ -14,9 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Light:
-    """One weather; angles in degrees, strengths in Blender's units, exposure a plain factor on
-    radiance.
-    """
+    """One weather; angles in degrees, strengths in Blender's units, exposure a factor."""
 
     elevation: float
     azimuth: float  # of the sun, counter-clockwise from east
@@ -38,9 +34,7 @@ LIGHTS = {
 
 
 def add_light(name: str | Light) -> Light:
-    """Give the current scene the sky and the sun of `LIGHTS[name]`, or of a light of one's own;
-    return the light.
-    """
+    """Give the scene the sky and sun of `LIGHTS[name]`, or of another light; return it."""
     light = LIGHTS[name] if isinstance(name, str) else name
     world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
@@ -101,9 +95,7 @@ def remove_lights() -> None:
 
 
 class _Sky:
-    """The node graph of a sky: Nishita's clear sky or an overcast dome, with clouds that never
-    repeat.
-    """
+    """The nodes of a sky: Nishita's clear one or an overcast dome, with clouds."""
 
     def __init__(self, tree: Any, light: Light) -> None:
         self.tree, self.light = tree, light

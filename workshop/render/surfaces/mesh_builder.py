@@ -68,9 +68,7 @@ class Mesh:
     def tube(
         self, path: ArrayLike, radius: ArrayLike, material: str, sides: int = 8, value: float = 0.5
     ) -> None:
-        """Add a round pipe along `path`, shape (points, 3), with one radius or one for each point,
-        and its caps.
-        """
+        """Add a pipe along `path`, (points, 3), one radius or one for each point, and caps."""
         path = np.asarray(path, float)
         along = np.gradient(path, axis=0)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -101,9 +99,7 @@ class Mesh:
         self.sheet(np.asarray(center) + unit * np.asarray(radii), material, value)
 
     def prism(self, outline: ArrayLike, bottom: float, top: float, side: str, cover: str) -> None:
-        """Add an upright prism over a polygon of (n, 2) points, counter-clockwise, without its
-        floor.
-        """
+        """Add an upright prism, without floor, over a counter-clockwise polygon (n, 2)."""
         outline = np.asarray(outline, float)
         low, high = (np.column_stack([outline, np.full(len(outline), z)]) for z in (bottom, top))
         self.add(np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1), side)

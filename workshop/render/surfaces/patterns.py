@@ -1,6 +1,4 @@
-"""Random materials: patterns, colours and gloss drawn at random, in object coordinates or in
-metres.
-"""
+"""Random materials: patterns, colours, gloss, in object coordinates or metres."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ PATTERNS = (
 
 
 def random_color(rng: np.random.Generator, vivid: float = 0.8) -> tuple[float, float, float]:
-    """Draw a linear RGB colour, from near black to near white; `vivid` is the largest
-    saturation.
-    """
+    """Draw a linear RGB colour, near black to near white; `vivid`: most saturation."""
     value = rng.uniform(0.03, 0.85)
     return colorsys.hsv_to_rgb(rng.random(), vivid * rng.random(), value)
 

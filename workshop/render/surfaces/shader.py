@@ -1,6 +1,4 @@
-"""Procedural materials: no picture is read, nothing repeats, every scale from centimetres to metres
-has detail.
-"""
+"""Procedural materials: no picture is read, nothing repeats, every scale has detail."""
 
 from __future__ import annotations
 

@@ -40,9 +40,7 @@ _MODELS = {
 
 @dataclass(frozen=True)
 class Thing:
-    """A mesh with its place: position (3,) in metres, Euler angles in radians, a factor on its
-    size.
-    """
+    """A mesh with its place: position (3,), m, Euler angles, rad, a factor on its size."""
 
     mesh: Mesh
     at: NDArray[np.float64]
@@ -167,9 +165,7 @@ def _add_ground(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
 
 
 def _add_backdrop(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
-    """Enclose the scene; light passes through the enclosure, so that the sky lights what is
-    inside.
-    """
+    """Enclose the scene; light passes through, so that the sky lights what is inside."""
     from workshop.render.surfaces.patterns import PATTERNS, random_material
 
     mesh, walls = Mesh(), ("plain",) if rng.random() < 0.35 else PATTERNS
@@ -193,9 +189,7 @@ def _add_backdrop(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> Non
 
 
 def _add_lights(plan: ThingsPlan, rng: np.random.Generator) -> None:
-    """Light the scene with a sky and its sun, or with a plain or graded dome; add up to three
-    lamps.
-    """
+    """Light the scene with sky and sun, or a dome; add up to three lamps."""
     import bpy
 
     from workshop.render.surfaces.lights import add_dome, add_light, random_sky

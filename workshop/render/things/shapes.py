@@ -14,18 +14,14 @@ Builder = Callable[[Mesh, np.random.Generator, Sequence[str]], None]
 
 
 def random_shape(rng: np.random.Generator, materials: Sequence[str]) -> Mesh:
-    """Draw a shape whose faces take their materials from the names given; it lies inside the unit
-    sphere.
-    """
+    """Draw a shape inside the unit sphere with faces of the named materials."""
     mesh = Mesh()
     SHAPES[str(rng.choice(list(SHAPES)))](mesh, rng, materials)
     return mesh
 
 
 def bounds_after(mesh: Mesh, yaw: float, scale: float, at: ArrayLike) -> NDArray[np.float64]:
-    """Return lowest and highest coordinates, shape (2, 3), of a box around a mesh scaled, rotated
-    by `yaw`, moved.
-    """
+    """Return the box, (2, 3), around a mesh scaled, rotated by `yaw`, moved."""
     (x0, y0, z0), (x1, y1, z1) = mesh.bounds() * scale
     c, s = np.cos(yaw), np.sin(yaw)
     corners = np.array(
@@ -35,9 +31,7 @@ def bounds_after(mesh: Mesh, yaw: float, scale: float, at: ArrayLike) -> NDArray
 
 
 def distance_to_box(point: ArrayLike, box: NDArray[np.float64]) -> float:
-    """Return the distance from a point (3,) to a box of lowest and highest coordinates (2, 3); 0
-    inside.
-    """
+    """Return the distance from a point (3,) to a box (2, 3) of low and high; 0 inside."""
     point = np.asarray(point, float)
     return float(np.linalg.norm(np.maximum(np.maximum(box[0] - point, point - box[1]), 0)))
 
