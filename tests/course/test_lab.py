@@ -158,8 +158,9 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     canvas = view.content_frame.locator("#view")
     page.screenshot(path=SEEN / "lab_points_before.png")
     before = canvas.evaluate(PICTURE)
+    # below the title and its buttons
     canvas.drag_to(
-        canvas, source_position={"x": 100, "y": 100}, target_position={"x": 300, "y": 150}
+        canvas, source_position={"x": 300, "y": 300}, target_position={"x": 500, "y": 350}
     )
     assert canvas.evaluate(PICTURE) != before
     page.screenshot(path=SEEN / "lab_points_after.png")
