@@ -12,13 +12,15 @@ from torch.nn.functional import pad
 
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.reference import FLAT_VARIANCE
-from omnistereo_lib.stereo.columns import common_columns
+from omnistereo_lib.stereo.columns import common_columns, split_at_seam
 from omnistereo_lib.stereo.kernels.compiled import compiled
 
 # Spheres side by side, as many as a block of the sweep has.
 _LANES = 16
 # Columns at a time: the sums over their windows stay in the cache of a core.
-_PIECE = 256
+_TILE = 256
+# Sums of a pixel over the rows of its window, of 1, a, b, a², b² and ab, on all spheres.
+_SUMS = 6 * _LANES
 
 
 def mean_costs(
@@ -29,17 +31,15 @@ def mean_costs(
 ) -> Tensor:
     """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); see `ZNCC`."""
     H, W = spherical_images.shape[-2:]
-    # Only the columns that both cameras of a pair see, in pieces.
+    # Only the columns that both cameras of a pair see.
     columns = columns if columns is not None else [(0, W)] * len(spherical_images)
-    strips = [
-        (i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)
-    ]
     rows = [
-        (i, j, s + k, min(_PIECE, width - k))
-        for i, j, s, width in strips
-        for k in range(0, width, _PIECE)
+        (i, j, first, stop)
+        for i, j in pairs
+        for strip in common_columns(columns[i], columns[j], W)
+        for first, stop in split_at_seam(*strip, W)
     ]
-    pieces = np.array(rows, np.int64).reshape(-1, 4)
+    strips = np.array(rows, np.int64).reshape(-1, 4)
     # 16 spheres at a time, the last of which may be empty.
     costs = []
     for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
@@ -47,154 +47,136 @@ def mean_costs(
         if B < _LANES:
             images = pad(images, (0, _LANES - B), value=torch.nan)
         cost = np.empty((H, W * _LANES), np.float32)
-        _mean_costs(images.contiguous().flatten(2).numpy(), pieces, window // 2, cost)
+        _mean_costs(images.contiguous().flatten(2).numpy(), strips, window // 2, cost)
         costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
     return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
 
 
-# One row at a time; the compiler vectorises flat loops, a pixel's spheres side by side.
-
-
 @compiled(nogil=True, error_model="numpy")
 def _mean_costs(
-    images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: NDArray[Any]
+    images: NDArray[Any], strips: NDArray[Any], radius: int, cost: NDArray[Any]
 ) -> None:
     """Write the mean costs over the pairs to cost (H, W · lanes).
 
+    The sums over the rows of a window slide down the image, the sums over its columns along the
+    row. They are float64: in float32 the variance of a bright, flat patch would be rounding error.
+
     Args:
         images: shape (cameras, H, W · lanes)
-        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each
+        strips: rows of (camera, camera, first, stop), columns that both see
     """
-    count = np.zeros(cost.shape, np.float32)
-    cost[:] = 0
-    for i, j, start, width in pieces:
-        _add_costs(images[i], images[j], start, width, radius, cost, count)
-    for y in range(len(cost)):
-        for t in range(cost.shape[1]):
-            # 0/0 is NaN, where no pair sees the ray.
-            cost[y, t] /= count[y, t]
+    H, W, window = images.shape[1], images.shape[2] // _LANES, 2 * radius + 1
+    nothing, box = np.full(W * _LANES, np.nan, np.float32), np.empty(_SUMS)
+    total, count = np.empty((2, _TILE * _LANES), np.float32)
+    # Of each strip, for the columns of its windows, behind one of zeros.
+    sums = np.empty((len(strips), (_TILE + window) * _SUMS))
+    for tile in range(0, W, _TILE):
+        sums[:] = 0
+        # Row y needs the rows up to y + radius: windows fill before the first row is written.
+        for y in range(-radius, H):
+            total[:] = count[:] = 0
+            for s in range(len(strips)):
+                i, j, first, stop = strips[s]
+                first, width = max(first, tile), min(stop, tile + _TILE) - max(first, tile)
+                if width <= 0:
+                    continue
+                # Slide down: the new row comes in, the one above the window goes out.
+                a, b, new, old = images[i], images[j], y + radius, y - radius - 1
+                a_new, b_new = (a[new], b[new]) if new < H else (nothing, nothing)
+                a_old, b_old = (a[old], b[old]) if old >= 0 else (nothing, nothing)
+                column = (first - radius) % W
+                _slide(a_new, b_new, a_old, b_old, column, width + 2 * radius, sums[s, _SUMS:])
+                # Slide along the row, and compare.
+                if y >= 0:
+                    k, t = first * _LANES, (first - tile) * _LANES
+                    _add_costs(
+                        a[y, k:], b[y, k:], sums[s], width, window, box, total[t:], count[t:]
+                    )
+            if y >= 0:
+                row = cost[y, tile * _LANES : (tile + _TILE) * _LANES]
+                for t in range(len(row)):
+                    # 0/0 is NaN, where no pair sees the ray.
+                    row[t] = total[t] / count[t]
 
 
-@numba.njit
+# The compiler vectorises the loops over k, the spheres of a pixel. Inlined by force: only then is
+# what runs where it was compiled the same as what is read from Numba's cache.
+
+
+@numba.njit(forceinline=True, fastmath={"contract"})
+def _slide(
+    a: NDArray[Any],
+    b: NDArray[Any],
+    a_old: NDArray[Any],
+    b_old: NDArray[Any],
+    column: int,
+    width: int,
+    sums: NDArray[Any],
+) -> None:
+    """Add a row of pixels to the sums of `width` columns, around the seam, and remove another."""
+    f8, one, zero = np.float64, np.float32(1), np.float32(0)
+    for x in range(width):
+        first, stop = column * _LANES, (column + 1) * _LANES
+        p, q, p_old, q_old = a[first:stop], b[first:stop], a_old[first:stop], b_old[first:stop]
+        sum_ = sums[x * _SUMS : (x + 1) * _SUMS]
+        for k in range(_LANES):
+            # NaN is not equal to itself, and a sum with NaN is NaN: only here both cameras see.
+            new, old = p[k] + q[k], p_old[k] + q_old[k]
+            n, n_old = f8(one if new == new else zero), f8(one if old == old else zero)
+            u, u_old = f8(p[k] if new == new else zero), f8(p_old[k] if old == old else zero)
+            v, v_old = f8(q[k] if new == new else zero), f8(q_old[k] if old == old else zero)
+            sum_[k] += n - n_old
+            sum_[_LANES + k] += u - u_old
+            sum_[2 * _LANES + k] += v - v_old
+            sum_[3 * _LANES + k] += u * u - u_old * u_old
+            sum_[4 * _LANES + k] += v * v - v_old * v_old
+            sum_[5 * _LANES + k] += u * v - u_old * v_old
+        column = column + 1 if column + 1 < len(a) // _LANES else 0
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath={"contract"})
 def _add_costs(
     a: NDArray[Any],
     b: NDArray[Any],
-    start: int,
+    sums: NDArray[Any],
     width: int,
-    radius: int,
+    window: int,
+    box: NDArray[Any],
     total: NDArray[Any],
     count: NDArray[Any],
 ) -> None:
-    """Add the costs of columns [start, start + width) of a pair to total and count (H, W · lanes).
+    """Add (1 - ZNCC)/2 of `width` columns to total, 0.5 where flat (paper, Section IV), 1 to count.
 
-    The sums over the rows of the window slide down the image, the sums over its columns then slide
-    along the row. They are float64: in float32 the variance of a bright, flat patch would be
-    rounding error.
+    Args:
+        a, b: pixels from the first column on; NaN in one: neither is added
+        sums: from the column before the first window on, which is 0
     """
-    W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
-    # The rows of the window and the one before it, each with its weights, a and b.
-    ring = np.zeros((window + 1, 3, padded), np.float32)
-    # Sums over the window's rows, of 1, a, b, a², b² and ab; `box` has them over columns, too.
-    sums = np.zeros((6, padded))
-    box = np.empty((6, width * _LANES))
-    # A row of weights and of weighted costs.
-    pair = np.empty((2, width * _LANES), np.float32)
-    first = (start - radius) % W * _LANES
-    # Row y needs the rows up to y + radius: windows fill before the first row is written.
-    for y in range(-2 * radius, len(total)):
-        # Slide down: the new row comes in, the one above the window goes out.
-        row = y + radius
-        new, old = ring[row % (window + 1)], ring[(row + 1) % (window + 1)]
-        new[:] = 0
-        if 0 <= row < len(a):
-            _common_pixels(a[row], b[row], first, new)
-        _slide(sums, new, old)
-        # Slide along the row, and compare.
-        if y >= 0:
-            _add_columns(sums, window, box)
-            _correlate(box, ring[y % (window + 1)][0][radius * _LANES :], pair)
-            _add_wrapped(pair[0], start % W * _LANES, count[y])
-            _add_wrapped(pair[1], start % W * _LANES, total[y])
-
-
-@numba.njit
-def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray[Any]) -> None:
-    """Copy two rows of pixels, from `first` around the seam, to (3, padded): weight, a, b.
-
-    The weight is 1 where both are visible; elsewhere all three are 0.
-    """
-    # Around the seam: first up to the end of the row, then on from its beginning.
-    t = 0
-    while t < pixels.shape[1]:
-        n = min(len(a) - first, pixels.shape[1] - t)
-        left, right, visible = a[first : first + n], b[first : first + n], pixels[0][t : t + n]
-        for k in range(n):
-            both = left[k] + right[k]
-            # NaN is not equal to itself, and a sum with NaN is NaN: only here both cameras see.
-            visible[k] = 1.0 if both == both else 0.0
-        for source, row in ((left, pixels[1]), (right, pixels[2])):
-            target = row[t : t + n]
-            for k in range(n):
-                target[k] = source[k] if visible[k] != 0 else np.float32(0)
-        t, first = t + n, 0
-
-
-@numba.njit(fastmath={"contract"})
-def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
-    """Add a row of pixels, (weight, a, b), to the sums and remove another."""
-    f8 = np.float64
-    for q in range(3):
-        total, p, p_old = sums[q], new[q], old[q]
-        for t in range(len(total)):
-            total[t] += f8(p[t]) - f8(p_old[t])
-    # a², b² and ab; all are 0 where the weight is.
-    for q, i, j in ((3, 1, 1), (4, 2, 2), (5, 1, 2)):
-        total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
-        for t in range(len(total)):
-            total[t] += f8(p[t]) * f8(r[t]) - f8(p_old[t]) * f8(r_old[t])
-
-
-@numba.njit
-def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
-    """Write the six sums over the columns of the window to box."""
-    for q in range(6):
-        # The first window is summed in full; each other gains the column ahead, loses the one
-        # behind. In one array: so the compiler sees that a read is 16 lanes behind the writes.
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    # The first window is summed in full; each other gains the column ahead, loses the one behind.
+    box[:] = 0
+    for x in range(1, window):
+        ahead = sums[x * _SUMS : (x + 1) * _SUMS]
+        for k in range(_SUMS):
+            box[k] += ahead[k]
+    for x in range(width):
+        first, stop = x * _LANES, (x + 1) * _LANES
+        p, q, cost, weight = a[first:stop], b[first:stop], total[first:stop], count[first:stop]
+        behind = sums[x * _SUMS : (x + 1) * _SUMS]
+        ahead = sums[(x + window) * _SUMS : (x + window + 1) * _SUMS]
+        for k in range(_SUMS):
+            box[k] += ahead[k] - behind[k]
         for k in range(_LANES):
-            box[q, k] = 0
-        for x in range(window):
-            for k in range(_LANES):
-                box[q, k] += sums[q, x * _LANES + k]
-        for t in range(box.shape[1] - _LANES):
-            ahead, behind = sums[q, t + window * _LANES], sums[q, t]
-            box[q, t + _LANES] = box[q, t] + (ahead - behind)
-
-
-@numba.njit(error_model="numpy", fastmath={"contract"})
-def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
-    """Compute weight and weighted cost (1 - ZNCC)/2; 0.5 where flat (paper, Section IV)."""
-    half, one = np.float32(0.5), np.float32(1)
-    for t in range(box.shape[1]):
-        n = box[0, t]
-        # Times n²: n² var a = n Σa² - (Σa)², n² cov = n Σab - Σa Σb, so nothing is divided by n.
-        variance_a = n * box[3, t] - box[1, t] * box[1, t]
-        variance_b = n * box[4, t] - box[2, t] * box[2, t]
-        covariance = n * box[5, t] - box[1, t] * box[2, t]
-        zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
-        # Both variances were multiplied by n², so the limit is, too.
-        textured = min(variance_a, variance_b) > FLAT_VARIANCE * n * n
-        pair[0, t] = weight[t]
-        pair[1, t] = weight[t] * (
-            half - half * min(max(zncc if textured else np.float32(0), -one), one)
-        )
-
-
-@numba.njit
-def _add_wrapped(values: NDArray[Any], first: int, row: NDArray[Any]) -> None:
-    """Add values to a row, from `first` on around the seam."""
-    n = min(len(row) - first, len(values))
-    target, start = row[first : first + n], values[n:]
-    for t in range(n):
-        target[t] += values[t]
-    for t in range(len(start)):
-        row[t] += start[t]
+            n, s, t = box[k], box[_LANES + k], box[2 * _LANES + k]
+            # Times n²: n² var a = n Σa² - (Σa)², n² cov = n Σab - Σa Σb: nothing is divided by n.
+            variance_a, variance_b = (
+                n * box[3 * _LANES + k] - s * s,
+                n * box[4 * _LANES + k] - t * t,
+            )
+            covariance = n * box[5 * _LANES + k] - s * t
+            zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
+            # Both variances were multiplied by n², so the limit is, too.
+            textured = min(variance_a, variance_b) > FLAT_VARIANCE * n * n
+            both = p[k] + q[k]
+            seen = one if both == both else zero
+            cost[k] += seen * (half - half * min(max(zncc if textured else zero, -one), one))
+            weight[k] += seen
