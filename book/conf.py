@@ -68,7 +68,7 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", keep_bars, priority=400)  # before napoleon
     app.connect("doctree-read", link_exact_types)
     app.connect("doctree-resolved", link_names)
-    app.connect("html-page-context", say_levels, priority=900)  # after the theme
+    app.connect("html-page-context", name_for_readers, priority=900)  # after the theme
 
 
 def keep_bars(
@@ -106,14 +106,18 @@ def is_linked(node: nodes.Node) -> bool:
     )
 
 
-def say_levels(
+def name_for_readers(
     app: Sphinx, page: str, template: str, context: dict, doctree: nodes.document | None
 ) -> None:
-    """Give the captions of the navigation, which Sphinx calls headings, the level they need."""
+    """Give captions of the navigation, which Sphinx calls headings, the level they need, and folded
+    cells, which MyST-NB names otherwise, the name that is shown.
+    """
     tree = context["furo_navigation_tree"]
     context["furo_navigation_tree"] = tree.replace(
         'role="heading"', 'role="heading" aria-level="2"'
     )
+    if doctree:
+        context["body"] = context["body"].replace(' aria-label="Toggle hidden content"', "")
 
 
 def full_name(code: str) -> str:

@@ -231,6 +231,9 @@ UNFIT = """() => [
     ...[...document.querySelectorAll("a[href]")]
         .filter(e => !e.textContent.trim() && !e.ariaLabel && !e.querySelector("img[alt], svg"))
         .map(e => `a link without a name: ${e.outerHTML}`),
+    ...[...document.querySelectorAll("summary[aria-label]")]
+        .filter(e => !e.ariaLabel.includes(e.innerText.trim()))
+        .map(e => `not the name that is shown: ${e.outerHTML}`),
     ...[...document.querySelectorAll("article *")]
         .filter(e => e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0)
         .filter(e => ["auto", "scroll"].includes(getComputedStyle(e).overflowX))
