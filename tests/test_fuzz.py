@@ -173,11 +173,9 @@ def check_corners(read):
 
 
 def check_image(image):
-    assert (
-        np.isfinite(image).all()
-        and image.shape[:2] != (0, 0)
-        and 0 <= image.min() <= image.max() <= 255
-    )
+    assert np.isfinite(image).all()
+    assert image.shape[:2] != (0, 0)
+    assert 0 <= image.min() <= image.max() <= 255
 
 
 def check_network(network):

@@ -35,9 +35,8 @@ def test_all_is_well(healthy, capsys):
     assert __main__.main(["doctor"]) == 0
     text = capsys.readouterr().out
     verdict, *lines = text.splitlines()
-    assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines) and verdict.endswith(
-        "are in place"
-    )
+    assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines)
+    assert verdict.endswith("are in place")
     for word in ("Python 3.", "numpy", "data_samples: 1 files", "cores"):
         assert word in text
 
@@ -116,10 +115,8 @@ def test_it_needs_no_package(bare):
 def test_other_commands_without_packages_are_one_line_that_names_it(bare):
     done = run_bare([bare, "-m", "course", "lab"])
     assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
-    assert (
-        done.stderr.startswith("error: No module named ")
-        and "python -m course doctor" in done.stderr
-    )
+    assert done.stderr.startswith("error: No module named ")
+    assert "python -m course doctor" in done.stderr
 
 
 def test_the_short_form_is_quick_to_start():

@@ -127,10 +127,8 @@ def test_a_right_but_slow_answer_is_told_so(run, capsys, monkeypatch):
     checked(run, nb03.check_look_up, source)
     said = capsys.readouterr().out
     assert "look_up: right, and 200 times slower than the solution" in said
-    assert (
-        said.endswith("The notebook goes on with the solution.\n")
-        and run("")["look_up"] is solution
-    )
+    assert said.endswith("The notebook goes on with the solution.\n")
+    assert run("")["look_up"] is solution
 
 
 def test_all_functions_make_a_method_that_needs_no_library_and_finds_what_the_library_finds(
@@ -171,10 +169,8 @@ def test_names_that_two_notebooks_use_otherwise_get_apart():
     mine._join(whole, part, "04", set())
     namespace = {}
     exec(whole.text(""), namespace)
-    assert (
-        namespace["pad"](np.zeros(1)).shape == (3,)
-        and "return np_04(x, pad_04.size)" in whole.pieces["pad_04"]
-    )
+    assert namespace["pad"](np.zeros(1)).shape == (3,)
+    assert "return np_04(x, pad_04.size)" in whole.pieces["pad_04"]
     assert sys.modules["math"].hypot is namespace["np_04"]
 
 

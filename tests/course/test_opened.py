@@ -51,9 +51,8 @@ def test_a_check_gives_the_function_to_go_on_with(number, function, monkeypatch)
         with np.errstate(all="ignore"):
             words, used = said(function, wrong)
         assert used is function.answer and f"{function.name}: not yet: {hint}. " in words
-        assert ("Hint: " in words) is (failures == 2) and words.endswith(
-            " The notebook goes on with the solution.\n"
-        )
+        assert ("Hint: " in words) is (failures == 2)
+        assert words.endswith(" The notebook goes on with the solution.\n")
     words, used = said(function, function.answer)  # the check cell, run twice
     assert "this is the solution" in words and used is function.answer
 
@@ -145,10 +144,8 @@ def test_a_wrong_picture_is_shown_above_the_right_one(number, function):
     with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
         function(mirrored)
     (shown,), how = display.call_args
-    assert (
-        how["metadata"]["image/png"]["alt"] == shown["text/plain"]
-        and function.name in shown["text/plain"]
-    )
+    assert how["metadata"]["image/png"]["alt"] == shown["text/plain"]
+    assert function.name in shown["text/plain"]
     drawn = np.asarray(
         Image.open(io.BytesIO(base64.b64decode(shown["image/png"]))).convert("L"), np.float64
     )
@@ -300,9 +297,8 @@ def test_the_next_cell_has_the_last_word(monkeypatch):
 def test_a_name_that_a_later_cell_uses_is_kept():
     check = Open(twice, CHECK.draw, keywords=["factor"])
     words, used = said(check, lambda x, f: f * x)
-    assert used is twice and words.startswith(
-        "\x1b[31m✗\x1b[0m twice: not yet: later cells use the names"
-    )
+    assert used is twice
+    assert words.startswith("\x1b[31m✗\x1b[0m twice: not yet: later cells use the names")
 
 
 @pytest.mark.parametrize("name", GARBAGE)

@@ -64,11 +64,9 @@ def test_frames_are_finite_and_of_many_kinds(frames):
     for frame in frames:
         radiance = frame.scene.image(frame.rig.cameras[0], frame.rig.T_rig_cam[0])
         visible = frame.rig.cameras[0].visible_pixels()
-        assert (
-            np.isfinite(radiance[visible]).all()
-            and (radiance[visible] >= 0).all()
-            and radiance[visible].std() > 0
-        )
+        assert np.isfinite(radiance[visible]).all()
+        assert (radiance[visible] >= 0).all()
+        assert radiance[visible].std() > 0
         index = frame.gt_index(grid)
         assert np.isfinite(index).all() and (index >= 0).all()
         nearest = 1 / frame.scene.inverse_depth_along(osl.SphereGrid(160, 40).rays()).max()
@@ -206,15 +204,14 @@ def test_folders_and_endless_worlds_are_mixed_by_weight(data, undrawn):
     samples = VolumeSamples(TINY, ["endless", data, "endless"])
     kinds = [samples._split(number) for number in range(6)]
     assert kinds == [(False, 0), (True, 0), (True, 1), (False, 1), (True, 2), (True, 3)]
-    assert (
-        samples.training_frame(0) in samples.training
-        and samples.validation_frame(0) in samples.validation
-    )
+    assert samples.training_frame(0) in samples.training
+    assert samples.validation_frame(0) in samples.validation
     training, validation = samples.training_frame(2), samples.validation_frame(1)
     assert (training.number, validation.number) == (
         1,
         0,
-    ) and training.rig == TINY.seed != validation.rig
+    )
+    assert training.rig == TINY.seed != validation.rig
     assert samples.metadata["folder"].startswith("endless, ") and samples.metadata["frames"] == 4
 
 

@@ -200,10 +200,8 @@ def test_non_matches_lie_so_many_pixels_off(data):
         rows, columns = pixel.T
         true = index[rows, columns]
         for camera in (i, j):
-            assert (
-                samples.sees(camera, rows, columns, true).all()
-                and samples.sees(camera, rows, columns, other).all()
-            )
+            assert samples.sees(camera, rows, columns, true).all()
+            assert samples.sees(camera, rows, columns, other).all()
         assert (samples.pair_shift_px(i, j, rows, columns, true, match - true) < 0.6).all()
         drawn.append(samples.pair_shift_px(i, j, rows, columns, true, other - true))
     drawn = np.concatenate(drawn)
@@ -230,10 +228,8 @@ def test_half_of_the_micro_batches_are_of_half_size(data):
     ]
     shapes = [tuple(batch.spherical_images.shape[1:]) for batch in batches]
     assert set(shapes) == {(1, 24, 96), (2, 12, 48)}
-    assert (
-        samples._half_size.training is samples.training
-        and samples._half_size.network is samples.network
-    )
+    assert samples._half_size.training is samples.training
+    assert samples._half_size.network is samples.network
     assert 15 < shapes.count((1, 24, 96)) < 45
     assert all(
         strip.label.min() == 0 and strip.label.max() == 1

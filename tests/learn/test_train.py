@@ -191,10 +191,8 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, finished, tmp_path):
     )
     assert int(curve[-1]["step"]) == SWEEPNET.steps
     half = export_weights(run, tmp_path / "half", half=True)
-    assert (
-        half[0].stat().st_size < 0.55 * files[0].stat().st_size
-        and "python -m workshop ship --half`" in half[2].read_text()
-    )
+    assert half[0].stat().st_size < 0.55 * files[0].stat().st_size
+    assert "python -m workshop ship --half`" in half[2].read_text()
     exact, halved = (osl.SweepNet.from_file(path).state_dict() for path in (files[0], half[0]))
     for name, value in exact.items():
         torch.testing.assert_close(halved[name], value, rtol=2**-11, atol=2**-25)
@@ -259,9 +257,8 @@ def test_hours_are_those_of_all_calls():
 
 def test_rates():
     cosine = replace(SWEEPNET, steps=1000, warmup=100, learning_rate=1.0)
-    assert cosine.learning_rate_at(0) == pytest.approx(0.01) and cosine.learning_rate_at(
-        500
-    ) == pytest.approx(0.5)
+    assert cosine.learning_rate_at(0) == pytest.approx(0.01)
+    assert cosine.learning_rate_at(500) == pytest.approx(0.5)
     assert cosine.learning_rate_at(999) < 1e-5
     drop = replace(SWEEPNET, steps=1400, warmup=0, schedule="drop", learning_rate=0.003)
     assert [drop.learning_rate_at(step) for step in (0, 1099, 1100, 1399)] == pytest.approx(
@@ -393,9 +390,8 @@ def test_the_command_line(data, tmp_path, capsys):
     assert "unknown setting 'wrap'; a mccnn recipe has worlds" in capsys.readouterr().err
     assert cli.main(command(data, tmp_path / "out", network="mccnn")[2:]) == 0
     captured = capsys.readouterr()
-    assert (
-        "step 2: validation" in captured.out + captured.err and "4 steps are done" in captured.out
-    )
+    assert "step 2: validation" in captured.out + captured.err
+    assert "4 steps are done" in captured.out
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
         [LOG, STATE, WEIGHTS, "provenance.json"]
     )

@@ -148,11 +148,9 @@ def test_a_run_among_folders_and_endless_worlds_resumes_to_the_same_weights(
     _, metadata = load_tensors(whole)
     assert metadata["architecture"] == "VolumeNet" and metadata["data"]["frames"] == 3
     weights, curve, card = export_weights(tmp_path / "whole", tmp_path / "weights", half=True)
-    assert (
-        weights.name == "volumenet.safetensors"
-        and "\n3," in curve.read_text()
-        and "things" in card.read_text()
-    )
+    assert weights.name == "volumenet.safetensors"
+    assert "\n3," in curve.read_text()
+    assert "things" in card.read_text()
 
 
 def test_the_file_of_weights_says_what_they_learned_from():

@@ -160,11 +160,9 @@ def test_splits_in_folders(tmp_path):
 
 def test_published_splits_by_number(tmp_path):
     sunny = save(tmp_path / "Sunny", [1, 700, 701, 1000, 1001], gt=None)
-    assert (
-        numbers(sunny, "train") == [1, 700]
-        and numbers(sunny, "test") == [701, 1000]
-        and len(numbers(sunny)) == 5
-    )
+    assert numbers(sunny, "train") == [1, 700]
+    assert numbers(sunny, "test") == [701, 1000]
+    assert len(numbers(sunny)) == 5
     refuses(r"has no split 'validation'", sunny, "validation")
     refuses(r"mine has no split 'test'.* sunny, cloudy", save(tmp_path / "mine", [1]), "test")
     refuses("has no frames of split test", save(tmp_path / "cloudy", [1]), "test")

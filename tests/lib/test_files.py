@@ -176,9 +176,8 @@ def test_the_old_file_stays_when_writing_fails(tmp_path):
     with pytest.raises(RuntimeError), atomic_write(path) as temporary:
         temporary.write_text("half")
         raise RuntimeError
-    assert path.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == [
-        "result.txt"
-    ]
+    assert path.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["result.txt"]
     with atomic_write(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
@@ -238,9 +237,8 @@ def test_writing_where_nothing_can_be_written(tmp_path):
     for path in (tmp_path / "missing" / "a.png", tmp_path / "file" / "a.png"):
         with refused(r"a.png cannot be written: .*Give a file in an existing"):
             write_image(path, RGB)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"] and (
-        tmp_path / "file"
-    ).read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "old"
 
 
 @pytest.mark.skipif(

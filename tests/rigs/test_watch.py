@@ -83,10 +83,8 @@ def test_the_chance_of_a_look_is_what_it_says():
 def test_a_warning_needs_the_first_looks_and_two_more():
     watch, said, _ = watched(0, 0.25)
     assert len(watch.looks) == LOOKS and REFERENCE < LOOKS // 2
-    assert (
-        said[0].endswith("where it looks")
-        and "since about frame 60: depth at 10 m is off by about " in said[0]
-    )
+    assert said[0].endswith("where it looks")
+    assert "since about frame 60: depth at 10 m is off by about " in said[0]
 
 
 TURNED = np.zeros((4, 6))

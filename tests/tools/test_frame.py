@@ -145,9 +145,8 @@ def test_the_rig_is_suspected_of_doubtful_rays_but_so_is_a_coarse_grid(depth):
     """With 160 columns a right rig gets more than half of them, too; 320 are enough."""
     doubtful = depth.depth <= np.nanquantile(depth.depth, 0.6)
     said = depth_sentences(depth, Limits(1e9, 0.0), doubtful)[0]
-    assert said.startswith("Bad: 6") and said.endswith(
-        ": 160 columns are too few, or the rig and the images may not fit."
-    )
+    assert said.startswith("Bad: 6")
+    assert said.endswith(": 160 columns are too few, or the rig and the images may not fit.")
     assert (
         verdict(60.0, 320) == "Bad: 60 % of rays are doubtful: the rig and the images may not fit."
     )
@@ -190,10 +189,8 @@ def test_the_colours_span_the_depths_found():
     scale = ColorScale.of(np.array([[0.5, 1.0, 2.0, np.nan]]))
     assert 0.5 <= scale.low < 0.52 and 1.97 < scale.high <= 2.0
     labels = {label: at for at, label in scale.ticks()}
-    assert (
-        labels["1 m"] == pytest.approx((1 - scale.low) / (scale.high - scale.low))
-        and "∞" not in labels
-    )
+    assert labels["1 m"] == pytest.approx((1 - scale.low) / (scale.high - scale.low))
+    assert "∞" not in labels
     brightness = scale.bar(256)[0].sum(-1)
     assert (np.diff(brightness.astype(int)) >= -3).all() and brightness[-1] > 600
 

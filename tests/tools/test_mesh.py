@@ -123,10 +123,8 @@ def test_glb_needs_no_light_and_has_a_camera_at_the_rig(depth, panorama, tmp_pat
     assert all("KHR_materials_unlit" in each["extensions"] for each in tree["materials"])
     assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
     (eye,) = (node for node in tree["nodes"] if "camera" in node)
-    assert (
-        eye == {"name": "rig", "camera": 0}
-        and tree["nodes"].index(eye) in tree["scenes"][0]["nodes"]
-    )
+    assert eye == {"name": "rig", "camera": 0}
+    assert tree["nodes"].index(eye) in tree["scenes"][0]["nodes"]
 
 
 def glb_tree(path):
@@ -144,6 +142,5 @@ def test_a_world_has_linear_colours_in_glb(tmp_path):
     tree = glb_tree(tmp_path / "mesh.glb")
     colors = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     # sRGB 128 is .2159 of the light of white
-    assert colors["componentType"] == 5126 and colors["max"] == pytest.approx(
-        [0.21586] * 3, abs=1e-5
-    )
+    assert colors["componentType"] == 5126
+    assert colors["max"] == pytest.approx([0.21586] * 3, abs=1e-5)

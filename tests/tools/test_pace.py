@@ -31,13 +31,11 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
         say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
     say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
     first, second, third = capsys.readouterr().err.splitlines()
-    assert (
-        first.startswith("volumenet takes about ")
-        and " and 1.1 GiB" in first
-        and " and 1.4 GiB" in second
-        and first != second
-        and third == "method: volumenet on cuda"
-    )
+    assert first.startswith("volumenet takes about ")
+    assert " and 1.1 GiB" in first
+    assert " and 1.4 GiB" in second
+    assert first != second
+    assert third == "method: volumenet on cuda"
 
 
 @pytest.mark.parametrize("watched", [True, False], ids=["terminal", "log"])

@@ -44,9 +44,8 @@ def test_the_figure_of_a_ray_shows_its_numbers(box):
     (drawn,) = [
         line.get_ydata() for line in figure.axes[0].lines if line.get_label().startswith("cost, ")
     ]
-    assert np.ptp(drawn) == pytest.approx(1) and np.corrcoef(drawn, costs[20, 80])[
-        0, 1
-    ] == pytest.approx(1)
+    assert np.ptp(drawn) == pytest.approx(1)
+    assert np.corrcoef(drawn, costs[20, 80])[0, 1] == pytest.approx(1)
     crosses = [line for ax in figure.axes for line in ax.lines if line.get_marker() == "+"]
     assert len(crosses) == one.sees.sum() > 1
     plt.close(figure)

@@ -298,9 +298,8 @@ def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, 
         read_inverse_depth(folder / "depth_estimate_96" / "00003.tiff") for folder in (done, out)
     )
     assert not np.array_equal(old, new, equal_nan=True)
-    assert (
-        run(*record_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
-    )
+    assert run(*record_command(pictures, out)) == 0
+    assert "computed again" not in capsys.readouterr().out
 
 
 def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
@@ -316,10 +315,8 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
     capsys.readouterr()
     assert run(*command, "--skip-bad") == 0
     said = capsys.readouterr().err
-    assert (
-        f"frame 2 is left out: {torn}" in said
-        and f"frame 5 is left out: {other} is 9 × 9 px" in said
-    )
+    assert f"frame 2 is left out: {torn}" in said
+    assert f"frame 5 is left out: {other} is 9 × 9 px" in said
     frames = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in frames] == [1, 3, 4, 6]
     np.testing.assert_array_equal(frames[1].inverse_depth, osl.load_dataset(done)[2].inverse_depth)
@@ -444,9 +441,8 @@ def test_frames_of_a_turned_video_are_those_that_are_stored(tmp_path):
         UserWarning, match=r"a.mp4 is marked as turned by 90°; its pixels .* as they are stored"
     ) as said:
         frames = [*open_sources([path])[0].read([0, 2], (64, 48))]
-    assert len(said) == 1 and all(
-        np.abs(frame.astype(int) - picture).max() < 20 for frame in frames
-    )
+    assert len(said) == 1
+    assert all(np.abs(frame.astype(int) - picture).max() < 20 for frame in frames)
     cameras = Cameras([str(path)] * 4, scene.rig(width=64, height=48))
     assert cameras.first[0].shape == (48, 64, 3)
 
@@ -505,9 +501,8 @@ def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
     ]
     with pytest.warns(UserWarning, match="differ by up to 24 ms; .* 50 ms apart"):
         found = Recording.open(folders)
-    assert list(found.frames) == list(np.delete(times, 2)) and found.missing == {
-        folders[1]: [times[2]]
-    }
+    assert list(found.frames) == list(np.delete(times, 2))
+    assert found.missing == {folders[1]: [times[2]]}
     matched = [found.sources[1].files[key].stem for key in found.frames.values()]
     assert matched == [str(t) for t in late]
     assert found.times == {t: t * unit for t in found.frames}

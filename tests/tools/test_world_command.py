@@ -204,10 +204,8 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
     assert near != nearer and plan != other_plan
     page.click("#fly")  # from the end it begins again
     page.wait_for_function("!flight && view.at === along.at(-1)")
-    assert (
-        page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        and page.complaints == []
-    )
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.complaints == []
 
 
 def middle(page, yaw, degrees):

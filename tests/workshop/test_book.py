@@ -131,9 +131,8 @@ def test_the_address_of_the_clone_is_that_of_the_repository(monkeypatch, tmp_pat
     assert website.repository_address() == found
     readme = website.README.read_text(encoding="utf-8")
     page = website.front_page(readme, tmp_path, found)
-    assert (f"git clone --depth 1 {found or 'ADDRESS'}" in page) and page.count(
-        "https://colab"
-    ) == (0 if found is None else len(nbtools.notebooks()))
+    assert f"git clone --depth 1 {found or 'ADDRESS'}" in page
+    assert page.count("https://colab") == (0 if found is None else len(nbtools.notebooks()))
     if found:
         assert "/github/ann/street/blob/main/notebooks/00_quickstart.ipynb" in page
         assert "mybinder.org/v2/gh/ann/street/main?labpath=notebooks%2F00_quickstart.ipynb" in page

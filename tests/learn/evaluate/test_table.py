@@ -324,11 +324,9 @@ def test_the_table_has_the_form_of_the_paper():
         == 1
     )
     rows = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[:-2]]
-    assert (
-        {len(row) for row in rows} == {16}
-        and rows[0][1] == "Sunny &gt;1"
-        and rows[1][:2] == ["---", "---:"]
-    )
+    assert {len(row) for row in rows} == {16}
+    assert rows[0][1] == "Sunny &gt;1"
+    assert rows[1][:2] == ["---", "---:"]
     assert rows[2][1] == f"20.0<br><sub>{interval}</sub>"
     head, *rows = csv.reader(io.StringIO(table.csv()))
     assert head[:4] == ["method", "Sunny >1", "Sunny >1 low", "Sunny >1 high"] and len(head) == 46
@@ -343,10 +341,8 @@ def test_frames_that_cannot_be_evaluated_are_left_out_of_the_mean():
     cells = table.rows[0][1]
     np.testing.assert_allclose(cells[:10, 0], 2.0)
     assert np.isnan(cells[10:]).all()
-    assert (
-        table.text().splitlines()[1].split()[-5:] == ["–"] * 5
-        and "nan" not in table.markdown() + table.csv()
-    )
+    assert table.text().splitlines()[1].split()[-5:] == ["–"] * 5
+    assert "nan" not in table.markdown() + table.csv()
 
 
 def test_regions_pool_all_rays():

@@ -115,9 +115,8 @@ def test_a_rig_that_states_its_deviations_has_wider_bars_and_keeps_them_on_file(
         for rig in (frame.rig, stated)
     ]
     assert (depths[1].index == depths[0].index).all()
-    assert (depths[1].sigma >= depths[0].sigma).all() and (
-        depths[1].sigma > 1.01 * depths[0].sigma
-    ).any()
+    assert (depths[1].sigma >= depths[0].sigma).all()
+    assert (depths[1].sigma > 1.01 * depths[0].sigma).any()
     osl.save_rig(stated, tmp_path / "rig.yaml")
     again = osl.load_rig(tmp_path / "rig.yaml")
     assert again.deviations == tuple(stated.deviations) == again.recentered().deviations

@@ -27,9 +27,8 @@ pytestmark = pytest.mark.usefixtures("small")
 )
 def test_names_are_read_back(method):
     assert EvaluatedMethod.parse(method.name) == method
-    assert (
-        method.volume_key.aggregate == "none" and method.volume_key.volume_key == method.volume_key
-    )
+    assert method.volume_key.aggregate == "none"
+    assert method.volume_key.volume_key == method.volume_key
 
 
 def test_names_and_labels():
@@ -160,10 +159,8 @@ def test_a_network_is_a_cost_in_whatever_mode_it_is(box, name):
 def test_a_sweep_keeps_its_networks(box):
     sweep, other = (osl.SphereSweep(box[0], GRID) for _ in range(2))
     kept = Method.parse("mccnn").cost_of(sweep)
-    assert (
-        Method.parse("mccnn+sgm").cost_of(sweep) is kept
-        and Method.parse("mccnn").cost_of(other) is not kept
-    )
+    assert Method.parse("mccnn+sgm").cost_of(sweep) is kept
+    assert Method.parse("mccnn").cost_of(other) is not kept
     wrapped, cut = (
         Method.parse(name).cost_of(sweep) for name in ("sweepnet+sgm", "sweepnet+sgm,wrap=false")
     )

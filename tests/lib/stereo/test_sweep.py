@@ -86,10 +86,8 @@ def test_lookup_tables_are_kept_or_computed_once_per_frame(world, monkeypatch):
         atol=0,
         equal_nan=True,
     )
-    assert (
-        len(computed) == len(set(computed)) == len(rig) * len(streamed.blocks())
-        and streamed.lut_bytes == 0
-    )
+    assert len(computed) == len(set(computed)) == len(rig) * len(streamed.blocks())
+    assert streamed.lut_bytes == 0
     full = 8 * 64 * 20 * 20 * 4
     assert 0.4 * full < kept.lut_bytes < 0.75 * full  # 220° of 360°, less nearby
 
@@ -148,9 +146,8 @@ def test_the_blur_is_half_the_spacing_of_the_samples(spacing):
     impulse[20, 20] = 1
     blurred = blur(impulse, blur_px(spacing)).astype(float)
     variance = (blurred.sum(0) * (np.arange(41) - 20.0) ** 2).sum()
-    assert blurred.sum() == pytest.approx(1, abs=1e-5) and variance + 0.25 == pytest.approx(
-        spacing**2 / 4, rel=0.05
-    )
+    assert blurred.sum() == pytest.approx(1, abs=1e-5)
+    assert variance + 0.25 == pytest.approx(spacing**2 / 4, rel=0.05)
 
 
 def test_detail_finer_than_the_panorama_does_not_reach_it(world):

@@ -256,9 +256,9 @@ def test_weights_come_back_from_a_file_with_equal_bytes(tmp_path):
         contents.add(path.read_bytes())
     assert len(contents) == 1
     again = SweepNet.from_file(path)
-    assert (
-        again.config == net.config and not again.training and torch.equal(again(*pair), net(*pair))
-    )
+    assert again.config == net.config
+    assert not again.training
+    assert torch.equal(again(*pair), net(*pair))
     assert load_tensors(path)[1]["step"] == 7
     assert load_file(path).keys() == net.state_dict().keys()  # the original library reads it
 

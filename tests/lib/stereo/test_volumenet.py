@@ -206,11 +206,9 @@ def test_the_most_probable_sphere_may_be_between_two_cells():
 def test_images_are_normalized_over_their_circle():
     image, visible = torch.arange(12.0).view(3, 4), torch.tensor([[True] * 3 + [False]] * 3)
     ours = normalize(image, visible)
-    assert (
-        abs(ours[visible].mean()) < 1e-6
-        and abs(ours[visible].std() - 1) < 1e-6
-        and (ours[~visible] == 0).all()
-    )
+    assert abs(ours[visible].mean()) < 1e-6
+    assert abs(ours[visible].std() - 1) < 1e-6
+    assert (ours[~visible] == 0).all()
     assert (normalize(torch.ones(3, 4), visible) == 0).all()
 
 

@@ -368,9 +368,8 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
     _, said = read(
         tmp_path / "a.yaml", kalibr(np.eye(4), **lens, distortion_coeffs=[0, 0, 2e-3, 0])
     )
-    assert (
-        "a.yaml, cam0: an OCam camera follows the omni model" in said[0] and "tangential" in said[0]
-    )
+    assert "a.yaml, cam0: an OCam camera follows the omni model" in said[0]
+    assert "tangential" in said[0]
     plumb_bob = [-0.007, 0.044, -0.042, 0.008]  # of a T265, whose driver means a fisheye
     lens = LINEAR | {"distortion_model": "radtan", "distortion_coeffs": plumb_bob}
     with refused(r"px only: no lens is like that.*T265"):

@@ -265,19 +265,16 @@ def test_saved_rigs_have_what_the_public_codes_read(tmp_path):
     assert data["config"] == {"omnimvs_sweep_min_depth": 0.55} and "img_fmt" in data["dataset"]
     for i, camera in enumerate(data["cameras"], 1):
         assert camera["cam_id"] == i and camera["model"] == "ocam"
-        assert (
-            camera["poly"][0] == len(camera["poly"]) - 1
-            and camera["inv_poly"][0] == len(camera["inv_poly"]) - 1
-        )
-        assert camera["center"] == [CENTER[1], CENTER[0]] and camera["image_size"] == [
+        assert camera["poly"][0] == len(camera["poly"]) - 1
+        assert camera["inv_poly"][0] == len(camera["inv_poly"]) - 1
+        assert camera["center"] == [CENTER[1], CENTER[0]]
+        assert camera["image_size"] == [
             SIZE[1],
             SIZE[0],
         ]
-        assert (
-            len(camera["pose"]) == 6
-            and camera["max_fov"] == 220
-            and camera["invalid_mask"].endswith(".png")
-        )
+        assert len(camera["pose"]) == 6
+        assert camera["max_fov"] == 220
+        assert camera["invalid_mask"].endswith(".png")
 
 
 def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
@@ -293,9 +290,8 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
     export_rig(rig, tmp_path)
     files = [path for path in tmp_path.rglob("*.*") if path.suffix != ".png"]
     written = {path.name: path.read_text() for path in files}
-    assert len(written) == 11 and not [
-        name for name, text in written.items() if "np." in text or "numpy" in text
-    ]
+    assert len(written) == 11
+    assert not [name for name, text in written.items() if "np." in text or "numpy" in text]
 
 
 def test_a_copy_of_a_rig_without_masks_is_read_without_a_warning(tmp_path, recwarn):

@@ -192,9 +192,8 @@ def test_an_unfinished_environment_says_how_to_make_it(environment, monkeypatch,
     )
     monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: None)
     assert main(["--out", str(tmp_path)]) == 2
-    assert (
-        "missing or unfinished" in (said := capsys.readouterr().err) and "run make render" in said
-    )
+    assert "missing or unfinished" in (said := capsys.readouterr().err)
+    assert "run make render" in said
 
 
 def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):

@@ -138,9 +138,8 @@ def test_rooms_hold_their_furniture_and_leave_place_for_the_rig(seed):
         assert np.linalg.norm(points - at, axis=1).min() >= plan.min_depth
     for window in plan.windows:
         length = wall_frame(plan.size, window.side)[3]
-        assert (
-            0 < window.start < window.end < length and 0 < window.sill < window.top < plan.size[2]
-        )
+        assert 0 < window.start < window.end < length
+        assert 0 < window.sill < window.top < plan.size[2]
         others = [w for w in plan.windows if w.side == window.side and w is not window]
         assert all(w.end <= window.start or w.start >= window.end for w in others)
 
