@@ -1,5 +1,4 @@
-"""Corners of a board as lenses with closed-form projections see them: the truth that calibrations
-are held to."""
+"""Corners of a board as lenses with closed-form projections see them: the truth."""
 
 import numpy as np
 
@@ -23,8 +22,7 @@ LENSES = {
 
 
 def project(points, lens="equidistant 210", center=CENTER):
-    """Pixels (..., 2) of points (..., 3) in the camera frame, and where the lens sees them within
-    the image."""
+    """Pixels (..., 2) of points (..., 3) in the camera frame, and where the image has them."""
     radius, reach_deg = LENSES[lens]
     theta = np.arctan2(np.hypot(points[..., 0], points[..., 1]), points[..., 2])
     n = np.maximum(np.hypot(points[..., 0], points[..., 1]), 1e-12)
@@ -36,8 +34,7 @@ def project(points, lens="equidistant 210", center=CENTER):
 
 
 def somewhere(rng, reach_deg, angle_deg=None, nearest=0.6):
-    """A pose of the board, its front to the camera, anywhere within the field of view, tilted every
-    way."""
+    """A pose of the board, facing the camera, anywhere in the field of view, tilted every way."""
     angle, azimuth = np.radians(rng.uniform(0, reach_deg)), rng.uniform(0, 2 * np.pi)
     angle = angle if angle_deg is None else np.radians(angle_deg)
     forward = np.array(
@@ -53,8 +50,7 @@ def somewhere(rng, reach_deg, angle_deg=None, nearest=0.6):
 
 
 def views(rng, count=24, lens="equidistant 210", noise=0.05):
-    """Corners of `count` whole boards, each (K, 2), from the axis to the rim, and their poses
-    T_cam_board."""
+    """Corners (K, 2) of `count` whole boards, from the axis to the rim, and their T_cam_board."""
     corners, poses = [], []
     while len(corners) < count:
         reach = LENSES[lens][1]
@@ -70,8 +66,7 @@ def views(rng, count=24, lens="equidistant 210", noise=0.05):
 
 
 def ray_error_deg(intrinsics, lens="equidistant 210", center=CENTER, reach_deg=None):
-    """Root mean square angle between the rays of a fitted camera and the lens's own, over the field
-    of view."""
+    """Root mean square angle between the rays of a fitted camera and the lens's own."""
     theta, azimuth = np.meshgrid(
         np.radians(np.linspace(1, reach_deg or LENSES[lens][1], 50)), np.arange(24) * np.pi / 12
     )
@@ -97,8 +92,7 @@ def rig_poses():
 
 
 def captures(rng, alone=7, shared=5, noise=0.1, turn=True):
-    """views[camera][capture] of the rig: boards before each camera, then between neighbours; None
-    where not whole."""
+    """views[camera][capture]: boards before each camera, then between; None if not whole."""
     T_rig_cam = rig_poses()
     headings = [i * np.pi / 2 for i in range(4) for _ in range(alone)]
     headings += [(i + 0.5) * np.pi / 2 for i in range(4) for _ in range(shared)]

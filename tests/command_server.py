@@ -35,8 +35,7 @@ from workshop import render
 
 
 def run(command):
-    """Run the command line, Python, the renderer without Blender, or a training that writes its
-    state at every step."""
+    """Run the command line, Python, the stand-in renderer, or a training that saves each step."""
     if command[0] == "python":
         exec(compile(command[1], "page", "exec"), {"__name__": "__main__"})
         return 0

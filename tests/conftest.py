@@ -1,5 +1,4 @@
-"""Which examples Hypothesis draws, limits of time and memory, and a real browser for what readers
-open."""
+"""Which examples Hypothesis draws, limits of time and memory, and a real browser."""
 
 import os
 import shutil

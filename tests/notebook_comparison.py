@@ -35,8 +35,7 @@ def tolerance(tags: list[str]) -> tuple[float, float]:
 
 
 class Printed(str):
-    """A printed text that equals another one with the same words and nearly the same decimal
-    numbers."""
+    """A printed text that equals another with the same words and nearly the same decimals."""
 
     def __new__(cls, text: str, rtol: float = RTOL, atol: float = 0.0) -> "Printed":
         """Keep the tolerances beside the text."""
@@ -91,8 +90,7 @@ class WatchedKernel(RunningKernel):
 
 
 class StoredNotebook(IPyNbFile):
-    """A notebook whose widgets run but are not compared: their output lives in a browser, not in
-    the file."""
+    """A notebook whose widgets run but are not compared: they live in a browser."""
 
     inside_widget = False
 
@@ -102,8 +100,7 @@ class StoredNotebook(IPyNbFile):
         self.kernel.__class__ = WatchedKernel
 
     def get_kernel_message(self, timeout: float | None = None, stream: str = "iopub") -> dict:
-        """Next message of the kernel, without what an Output widget takes; errors in there still
-        count."""
+        """Next message of the kernel, but what an Output widget takes; errors still count."""
         while True:
             message = super().get_kernel_message(timeout, stream)
             kind, content = message["msg_type"], message["content"]

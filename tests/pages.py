@@ -58,8 +58,7 @@ def leads(page, link, pages):
 
 
 def foreign_or_missing(page):
-    """Yield what a page fetches from other hosts or does not find; pictures within the page are in
-    it."""
+    """Yield what a page fetches from other hosts or does not find, except from itself."""
     for address in map(urlsplit, page.fetched):
         if address.scheme != "data" and (
             address.netloc or not (page.path.parent / unquote(address.path)).exists()

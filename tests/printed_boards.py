@@ -16,8 +16,7 @@ PX_PER_M = 2000
 
 
 def print_april(border, start=0):
-    """Draw the board as Kalibr prints it: tags from the bottom left, black squares where gaps
-    cross."""
+    """Draw the board as Kalibr does: tags from the bottom left, black squares at crossings."""
     columns, rows = APRIL.tags
     tag, gap = round(APRIL.size * PX_PER_M), round(APRIL.size * APRIL.spacing * PX_PER_M)
     pitch, margin = tag + gap, 2 * gap
@@ -46,8 +45,7 @@ def print_charuco():
 
 
 def photograph(page, margin, pose, blur=0.7):
-    """Return what the equidistant lens sees of a printed page at a pose of the board, by its rays,
-    one by one."""
+    """Return what the equidistant lens sees of a printed page at a pose of the board, by rays."""
     u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     offset = np.stack([u, v], -1) - CENTER
     r = np.linalg.norm(offset, axis=-1)

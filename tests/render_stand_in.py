@@ -15,8 +15,7 @@ TINY = replace(SETS["sunny/test"], size=(25, 24), samples=1, truths=((16, 4), (2
 
 
 def replace_blender(setitem, setattr):
-    """Replace all that needs Blender; the arguments do what their names say, perhaps only for one
-    test."""
+    """Replace all that needs Blender; the arguments do what their names say."""
     bpy = ModuleType("bpy")
     bpy.__spec__ = ModuleSpec("bpy", None)
     blender = SimpleNamespace(empty_scene=lambda: None)

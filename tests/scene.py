@@ -18,8 +18,7 @@ CENTER = np.array([0.3, -0.2, 0.4])
 
 
 def camera(width=400, height=384, max_fov_deg=220.0, shift=(0.0, 0.0)):
-    """An equidistant lens, r = f·θ, whose circle fits the image; its polynomials agree to rounding
-    of a fit."""
+    """An equidistant lens, r = f·θ, whose circle fits the image; its polynomials are a fit."""
     f = (min(width, height) / 2 - 2) / np.radians(max_fov_deg / 2)
     theta = np.linspace(1e-4, np.radians(max_fov_deg / 2 + 1), 4000)
     radius = f * theta
@@ -56,8 +55,7 @@ def distance(origin, rays):
 
 
 def texture(points, finest=0.06):
-    """A gray value between 0 and 255 with detail from a metre down to `finest` metres; (..., 3) →
-    (...)."""
+    """A gray value in 0 to 255 with detail from a metre down to `finest`; (..., 3) → (...)."""
     rng = np.random.default_rng(1)
     value = np.zeros(points.shape[:-1])
     for wavelength in (w for w in (1.0, 0.5, 0.25, 0.12, 0.06) if w >= finest):
@@ -69,8 +67,7 @@ def texture(points, finest=0.06):
 
 
 def images(rig, finest=0.06):
-    """What the cameras of a rig see, float32; outside the lens circle its rim is continued, so
-    there is no edge."""
+    """What the cameras of a rig see, float32; the rim is continued, so there is no edge."""
     pictures = []
     for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         width, height = lens.image_size
@@ -99,8 +96,7 @@ def beyond_walls(points, rig):
 
 
 def write_drive(folder, frames, step=0.05):
-    """A rig that moves along x through the box: `rig.yaml`, and `view1` to `view4` with numbered
-    pictures."""
+    """A rig that moves along x through the box: `rig.yaml`, `view1` … with numbered pictures."""
     still = rig(width=100, height=96)
     osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6), folder / "rig.yaml")
     for n in range(1, frames + 1):
@@ -112,8 +108,7 @@ def write_drive(folder, frames, step=0.05):
 
 
 def write_set(folder, still, grid, places, first=1):
-    """A data set in the public layout: the rig moved to some places (metres), one frame at each,
-    with ground truth."""
+    """A data set of the public layout: a frame at each place (metres), with ground truth."""
     (folder / f"omnidepth_gt_{grid.width}").mkdir(parents=True)
     osl.save_rig(
         osl.Rig(still.cameras, still.T_rig_cam, min_depth=grid.min_depth), folder / "config.yaml"

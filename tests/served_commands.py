@@ -1,5 +1,4 @@
-"""Commands in processes of their own, forked by one process that has imported the library; see
-`command_server`."""
+"""Commands in processes of their own, forked by one that has imported the library."""
 
 import json
 import re

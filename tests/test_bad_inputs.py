@@ -38,8 +38,7 @@ def data(original, tmp_path):
 
 
 def run(command, row, data):
-    """Spoil the data and run the command; return the exit status and what stood in the folder
-    before."""
+    """Spoil the data, run the command; return exit status and what the folder held before."""
     for how, value in row.items():
         if how not in ("add", "said"):
             getattr(bad_inputs, how)(data, value)

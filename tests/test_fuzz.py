@@ -214,8 +214,7 @@ def check_step(step):
 
 
 def samples(folder):
-    """Return reader → (name of the file, its content, how it is read, what the result must be, how
-    it is damaged)."""
+    """Return reader → (file name, content, how it is read, the result's check, the damage)."""
     for file, text in EXAMPLES.values():  # some read a second one beside them
         (folder / file).write_text(text)
     lenses = ("camodocal camera", "Gyroflow lens profile", "Metashape lens")
@@ -333,8 +332,7 @@ def hand_in():
 
 
 def live_page(address):
-    """A request to the live view, and how it is answered: the status, None without one, and the
-    content."""
+    """A request to the live view and its answer: the status, None without one, the content."""
     port = urlsplit(address).port
     request = b"GET /depth?0.5&0.8 HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n"
 

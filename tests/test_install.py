@@ -1,5 +1,4 @@
-"""The wheel, installed apart from the clone: complete, without the course, and it finds what it
-needs."""
+"""The wheel, installed apart from the clone: complete, without the course."""
 
 import os
 import re
@@ -76,8 +75,7 @@ def test_every_pin_can_be_installed_on_the_oldest_python():
 
 
 def test_the_pins_are_a_lock():
-    """Pip and uv install the same versions today and in a year: no package brings one along that
-    has no pin."""
+    """Pip and uv install the same versions today and in a year: every package has a pin."""
     pinned = {canonicalize_name(name) for name in PINS}
     left, brought = [Requirement(name) for name in PINS], {}
     while left:
@@ -105,8 +103,7 @@ print("status", cli.main(["doctor"]), cli.main(["evaluate", "--sets", "sunny"]))
 
 
 def test_without_the_clone(installed, tmp_path):
-    """The sample and the weights are found, the doctor is content, and what needs the clone says
-    so."""
+    """The sample and the weights are found; what needs the clone says so."""
     environment = {**os.environ, "PYTHONPATH": str(installed[1])}
     command = [sys.executable, "-c", SCRIPT]
     done = subprocess.run(

@@ -124,8 +124,7 @@ def command(request, data, corners, record):
 
 
 def contents(folder):
-    """Return the content of all files; of a log without the seconds, and without what a kill left
-    half-written."""
+    """Return the content of all files; of a log without seconds and what a kill left halfway."""
     files = [path for path in folder.rglob("[!.]*") if path.is_file()]
     return {
         str(path.relative_to(folder)): without_seconds(path)
@@ -153,8 +152,7 @@ def differing(found, expected):
 
 @pytest.fixture(scope="module")
 def undisturbed(server, tmp_path_factory):
-    """Return a function: command line, its name → the files of an undisturbed run and the seconds
-    that it takes."""
+    """Return a function: command line, its name → files of an undisturbed run, and its seconds."""
     known = {}
 
     def once(command, name):

@@ -67,8 +67,7 @@ def test_every_command_is_run_or_marked():
 
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory):
-    """A copy of the clone whose environment counts as installed; the data and the compiled library
-    are links."""
+    """A copy of the clone, its environment installed; data and compiled library are links."""
     folder, linked = (
         tmp_path_factory.mktemp("copy") / "omnistereo",
         ("data_samples", "omnistereo_"),
@@ -162,8 +161,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(server, shell, clone):
-    """Return a function that runs a line in a folder and returns its exit status and what it
-    prints."""
+    """Return a function that runs a line in a folder: exit status and what it prints."""
 
     def run(line, folder):
         server.log_path.write_text("")

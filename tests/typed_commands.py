@@ -98,8 +98,7 @@ def _markdown(path: Path) -> list[str]:
 
 
 def _commands_in(page: str, text: str) -> list[Typed]:
-    """Split a text at its fences; a mark holds for the fence, or for the paragraph, that follows
-    it."""
+    """Split a text at its fences; a mark holds for what follows it."""
     found, at = [], 0
     for fence in [*_FENCE.finditer(text), None]:
         before = text[at : fence.start() if fence else len(text)]

@@ -1,5 +1,4 @@
-"""The students' right answers, in NumPy, are the definition: on the inputs on which the checkers
-try them."""
+"""The students' right answers, in NumPy, are the definition, on the checkers' inputs."""
 
 from importlib import import_module
 
@@ -11,8 +10,7 @@ from omnistereo_lib import reference
 
 
 def correlation(f):
-    """Features (cameras, …, 32) that are NaN where a camera does not see the cell, as maps and
-    pixels on them."""
+    """Features (cameras, …, 32), NaN where unseen, as maps and pixels on them."""
     rows, columns = torch.meshgrid(*map(torch.arange, f.shape[1:3]), indexing="ij")
     pixels = [
         torch.stack([columns, rows], -1).double().where(~one[..., :1].isnan(), torch.nan)

@@ -1,5 +1,4 @@
-"""Handed-in notebooks: a class, from good ones to those that attack the judge, ends with a sheet
-for each."""
+"""Handed-in notebooks: a class, from good ones to attacks on the judge, gets its sheets."""
 
 import csv
 import json

@@ -89,8 +89,7 @@ def lab(clone):
 
 
 def page_to_open(server, folder, log):
-    """Wait for the file that the server hands to a browser: it leads to the notebook, with the
-    token."""
+    """Wait for the file that the server hands to a browser, with the token."""
     deadline = time.monotonic() + PATIENCE_S
     while server.poll() is None and time.monotonic() < deadline:
         for page in folder.glob("jpserver-*-open.html"):

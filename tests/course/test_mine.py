@@ -1,5 +1,4 @@
-"""The student's functions live on: kept by the checkers, used by later notebooks, and one file that
-computes depth."""
+"""The student's functions live on: kept, used by later notebooks, joined into one file."""
 
 import ast
 import sys
@@ -105,8 +104,7 @@ def test_a_broken_file_is_said_and_the_solution_runs(run, capsys):
 
 
 def test_a_right_but_slow_answer_is_told_so(run, capsys, monkeypatch):
-    """By a clock that goes faster while the student's function runs, so that no machine's load
-    matters."""
+    """By a clock that goes faster while the student's function runs: no machine's load matters."""
     clock = {"now": 0.0}
     monkeypatch.setattr("course.exercises.opened.time.process_time", lambda: clock["now"])
 
@@ -134,8 +132,7 @@ def test_a_right_but_slow_answer_is_told_so(run, capsys, monkeypatch):
 def test_all_functions_make_a_method_that_needs_no_library_and_finds_what_the_library_finds(
     run, capsys
 ):
-    """The errors differ by 0.2 percentage points at most, 12 of 6400 rays, by float32 and where
-    costs tie."""
+    """By float32 and where costs tie, errors differ by 0.2 points at most: 12 of 6400 rays."""
     for function in [f for number in ("01", "03", "04", "05") for f in exercises.functions(number)]:
         checked(run, function)
     assert (

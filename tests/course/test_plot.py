@@ -145,8 +145,7 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
 
 
 def test_points_are_seen_from_the_eye():
-    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind; blue behind the eye is not
-    seen."""
+    """Red 1 m down (+y), green 1 m right (+x), seen from behind; blue is behind the eye."""
     rng = np.random.default_rng(0)
     places = {(0, 1, 0): (255, 0, 0), (1, 0, 0): (0, 255, 0), (0, 0, -8): (0, 0, 255)}
     points = np.concatenate([rng.normal(place, 0.1, (300, 3)) for place in places])

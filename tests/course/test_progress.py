@@ -1,5 +1,4 @@
-"""The progress page: it counts what the checks printed into the working copies, and ends with the
-certificate."""
+"""The progress page: it counts what the checks printed, and ends with the certificate."""
 
 import io
 import re
@@ -27,8 +26,7 @@ def copies(tmp_path, monkeypatch):
 
 
 def answer(path, right):
-    """Check some functions of a copy, given whether each is right, and save what is printed, as
-    JupyterLab does."""
+    """Check some functions of a copy, given whether each is right, and save what is printed."""
     nb = nbformat.read(path, 4)
     for function in exercises.functions(nbtools.number(path)):
         if function.name in right:

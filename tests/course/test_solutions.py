@@ -1,5 +1,4 @@
-"""The solution notebooks have the right answers in the place of the stubs, and nothing else is
-changed."""
+"""The solution notebooks have the right answers for the stubs, and nothing else changed."""
 
 import re
 import runpy

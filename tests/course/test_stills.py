@@ -22,8 +22,7 @@ RNG = np.random.default_rng(0)
 
 
 def figure():
-    """A white page with a photograph, a line drawing in a frame and a word, and where the
-    photograph is."""
+    """A page with a photograph, a framed line drawing and a word; where the photograph is."""
     page = np.full((300, 400, 3), 255, np.uint8)
     photograph = np.s_[20:140, 20:180]
     page[photograph] = RNG.integers(0, 230, (120, 160, 3))

@@ -14,8 +14,7 @@ from omnistereo_rigs import calibrate_rig
 
 
 def test_index_shift_of_a_rotated_camera_by_geometry():
-    """Two cameras side by side; one rotated by α: the parallax is off by α everywhere, and so is
-    the inverse depth."""
+    """Side by side, one rotated by α: parallax and inverse depth are off by α everywhere."""
     camera = scene.camera()
     rig = osl.Rig([camera, camera], [Pose(np.eye(3), [-0.1, 0, 0]), Pose(np.eye(3), [0.1, 0, 0])])
     alpha = np.radians(0.1)

@@ -19,7 +19,6 @@ def data(tmp_path_factory):
 
 @pytest.fixture
 def same_batch(monkeypatch):
-    """Every step gets the first batch: its loss must fall, while those of random batches rise and
-    fall by chance."""
+    """Every step gets the first batch, whose loss must fall: that of others varies by chance."""
     draw = _Run.micro_batch
     monkeypatch.setattr(_Run, "micro_batch", lambda run, purpose, _: draw(run, purpose, 0))

@@ -1,5 +1,4 @@
-"""The ray caster against closed forms: shapes, holes, shadows, mirrors, and the tree against trying
-every primitive."""
+"""The ray caster against closed forms: shapes, holes, shadows, mirrors, and the tree."""
 
 import numpy as np
 import pytest

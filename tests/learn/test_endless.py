@@ -80,8 +80,7 @@ def test_frames_are_finite_and_of_many_kinds(frames):
 
 
 def test_cameras_agree_at_the_true_depth(frames):
-    """The gray values of a point in the cameras that see it differ less than those of points at
-    wrong depths."""
+    """A point's gray values in the cameras differ less than those of points at wrong depths."""
     rays = osl.SphereGrid(128, 32).rays()
     better = []
     for frame in frames[:4]:
@@ -190,8 +189,7 @@ def test_glare_is_where_the_sun_is_unless_something_hides_it():
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Endless frames without pictures, which would take a second each; their seed lies where the
-    rig would."""
+    """Endless frames without pictures; their seed lies where the rig would."""
     monkeypatch.setattr(
         "omnistereo_learn.samples.frames.EndlessWorlds", partial(EndlessWorlds, workers=0)
     )

@@ -1,5 +1,4 @@
-"""Samples to train on: labels that tell the truth, patches that match and that do not, and their
-loss."""
+"""Samples to train on: labels that tell the truth, patches that match or not, the loss."""
 
 import multiprocessing
 from dataclasses import replace
@@ -17,8 +16,7 @@ from omnistereo_learn.samples.spheres import SphereBatch, SphereSamples, Strip
 
 @pytest.mark.parametrize("augment", [False, True])
 def test_positives_are_where_the_truth_is_and_show_the_same(data, augment):
-    """Labels against the box in closed form where nothing is turned; against the pictures where it
-    is."""
+    """Labels against the box where nothing is turned; against the pictures where it is."""
     samples = SphereSamples(replace(SWEEPNET, width=96, height=24), data)
     frame = samples.training[0]
     alike = {0.0: [], 1.0: []}
@@ -173,8 +171,7 @@ def test_patches_are_cut_out_of_the_panorama(data):
 
 
 def test_a_point_is_shown_where_its_camera_looks(data):
-    """Both the point and the place on the swept sphere must project to the same pixel of the
-    camera."""
+    """The point and the place on the swept sphere must project to the same pixel."""
     samples = PatchSamples(MCCNN, data)
     rows, columns = (
         np.random.default_rng(0).integers(size, size=200) for size in samples.grid.shape

@@ -63,8 +63,7 @@ def assert_same_weights(a, b):
 
 @pytest.fixture(scope="module")
 def finished(data, tmp_path_factory):
-    """The folder and the rows of a run that was stopped after two steps and resumed; tests only
-    read it."""
+    """The folder and the rows of a run, stopped after two steps and resumed; only read."""
     out = tmp_path_factory.mktemp("finished") / "run"
     return out, stopped(SWEEPNET, out, data, 2) + rows_of(SWEEPNET, out, data)
 
@@ -111,8 +110,7 @@ def train_as(rank, port, *arguments):
 
 @pytest.mark.slow
 def test_two_processes_compute_what_one_does(data, tmp_path):
-    """By SGD: Adam divides by the gradient's size, rounding included where a gradient is nearly
-    zero."""
+    """By SGD: Adam divides by the gradient's size, rounding included where it is nearly zero."""
     recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=0.01, steps=2)
     one = losses(recipe, tmp_path / "one", data)
     with socket.socket() as free:
@@ -147,16 +145,14 @@ def test_it_learns_a_batch_that_comes_again_and_again(recipe, data, tmp_path, sa
 
 
 def test_the_papers_recipe_on_a_small_panorama(data, tmp_path):
-    """Table I as printed: no norms, zeros beyond the seam, one negative for each positive, every
-    positive."""
+    """Table I as printed: no norms, zeros beyond the seam, one negative for each positive."""
     recipe = replace(RECIPES["sweepnet"]["paper"], **TINY, frames_per_step=2, min_positives=4)
     assert np.isfinite(losses(recipe, tmp_path, data)).all()
     assert osl.SweepNet.from_file(tmp_path / WEIGHTS).config == {"batch_norm": False, "wrap": False}
 
 
 def test_what_is_exported_is_what_was_validated(data, finished):
-    """The file holds Table I without norms; on the validation frame it has the loss that the log
-    states."""
+    """The file holds Table I without norms; on the validation frame it has the log's loss."""
     out, rows = finished
     network = osl.SweepNet.from_file(out / WEIGHTS)
     assert sum(p.numel() for p in network.parameters()) == 757_729
@@ -287,8 +283,7 @@ def test_a_loss_that_is_not_finite_stops_the_run(data, tmp_path):
 
 
 def test_a_step_that_is_not_finite_is_skipped(data, tmp_path, monkeypatch):
-    """The second step has no loss, changes no weight and is empty in the log; a resumed run counts
-    it."""
+    """The second step has no loss, changes no weight, is empty in the log, and counts."""
     spoiled, loss = [1], _Run.loss
     calls = []
 

@@ -1,5 +1,4 @@
-"""Training of VolumeNet: ground truth turns with the grid, the loss has a closed form, runs learn
-and resume."""
+"""Training of VolumeNet: ground truth, a loss in closed form, runs that learn and resume."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -44,8 +43,7 @@ def data(tmp_path_factory):
 
 
 def test_the_ground_truth_turns_with_the_grid(data, monkeypatch):
-    """At the estimated depth, a turned grid, mirrored (3, 4) or not (5), shows in every camera what
-    the box shows."""
+    """At the estimated depth a turned grid, mirrored (3, 4) or not (5), shows what the box does."""
     samples = VolumeSamples(TINY, data)
     frame = load_dataset(data)[1]
     plain = samples.micro_batch(frame, np.random.default_rng(0), augment=False)[0]
@@ -71,8 +69,7 @@ def test_the_ground_truth_turns_with_the_grid(data, monkeypatch):
 
 
 def _spread(pictures, sample):
-    """The median over the rays of the deviation of the cameras' gray values at the depth of a
-    sample."""
+    """The median over the rays of the deviation of the cameras' values at a sample's depth."""
     half = interpolate(sample.index[None, None], scale_factor=0.5, mode="nearest")[0, 0]
     cell = ((half + 0.5) / 2 - 0.5).round()  # of the volume
     cell = cell.nan_to_num(0).clamp(0, 47).long()[..., None, None].expand(-1, -1, 1, 2)

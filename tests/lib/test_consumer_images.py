@@ -30,8 +30,7 @@ def test_one_image_with_the_circles_beside_or_above_each_other(two, tmp_path, ax
 
 
 def test_one_image_that_both_cameras_describe(two, tmp_path):
-    """Their principal points lie in the two halves of one image, which is plausible, and no picture
-    given twice."""
+    """Principal points in the two halves of one image are plausible, and no copy."""
     rig, images = two
     shared = [scene.camera(400, 192, 200, shift=(shift, 0.0)) for shift in (-100, 100)]
     assert abs(shared[1].center[0] - shared[0].center[0] - 200) < 1

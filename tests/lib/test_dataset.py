@@ -205,8 +205,7 @@ def test_where_the_ground_truth_is_survives_other_encodings_and_names_a_broken_f
 
 
 def save_worlds(folder, cameras=(3, 5, 4)):
-    """Frames 1, 2, … in folders of their own, with rigs of so many cameras whose min_depth is the
-    frame's number."""
+    """Frames 1, 2, … in folders of their own; the min_depth of a rig is the frame's number."""
     for number, count in enumerate(cameras, start=1):
         rig = scene.rig(width=40, height=32, cameras=count)
         rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=float(number))
@@ -375,8 +374,7 @@ def test_gt_index_takes_the_nearest_ray_of_another_size(tmp_path):
 
 
 def test_gt_index_of_a_full_sphere_on_a_band_and_back(tmp_path):
-    """640 × 320 reaches from pole to pole: a band of ±45° takes its middle half, it does not
-    squeeze it."""
+    """640 × 320 reaches from pole to pole: a band of ±45° takes its middle half."""
     full = osl.SphereGrid(64, 32, (-90, 90), 48, 0.7)
     expected = BAND.inverse_depth_to_index(gt_of(BAND))
     np.testing.assert_allclose(gt_index(tmp_path, gt_of(full), BAND), expected, rtol=1e-6)

@@ -1,5 +1,4 @@
-"""The definition against what knows nothing of it: closed forms, NumPy, SciPy, libsgm and a box of
-known depth."""
+"""The definition against closed forms, NumPy, SciPy, libsgm and a box of known depth."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -31,8 +30,7 @@ def test_rays_are_those_of_the_grid():
 
 
 def test_an_equidistant_lens_in_closed_form():
-    """r = f θ, up to 110° from the axis, then the affine map, as the files' documentation writes
-    it."""
+    """r = f θ, up to 110° from the axis, then the affine map of the files' documentation."""
     c, d, e = 1.002, -0.003, 0.004
     camera = replace(
         scene.camera(), affine=(c, d, e), inv_poly=[150 * np.pi / 2, 150], image_size=(640, 640)

@@ -95,8 +95,7 @@ def test_a_point_on_the_axis_has_finite_derivatives():
 
 
 def test_all_unknowns_are_determined(views):
-    """The smallest singular value of the column-scaled Jacobian is far from the 1e-8 of a free d -
-    e."""
+    """The smallest singular value of the scaled Jacobian is far from the 1e-8 of a free d - e."""
     report = calibrate_camera(views[0], BOARD, SIZE, degree=4)[1]
     state = CalibrationParams(
         (report.intrinsics,), (Pose.identity(),), tuple(report.T_cam_board.values())
@@ -233,8 +232,7 @@ def test_the_degree_is_what_held_back_views_ask_for():
 
 
 def test_errors_lie_within_the_predicted_covariance():
-    """χ² of the rays' parameters over repeated noise: as large as the covariance says, neither more
-    nor less."""
+    """χ² of the rays' parameters over repeated noise: as large as the covariance says."""
     rng = np.random.default_rng(10)
     truth = estimate(1, degree=4).intrinsics[0]
     cam, exact, poses = truth.camera(170), [], []

@@ -1,5 +1,4 @@
-"""Calibration from files to files: captures in folders, the shipped sets, the command line, other
-programs' forms."""
+"""Calibration from files to files: captures in folders, shipped sets, the command line."""
 
 import json
 import re

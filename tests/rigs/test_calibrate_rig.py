@@ -177,8 +177,7 @@ def test_the_uncertainty_of_a_pose_is_that_of_poses_drawn_from_the_covariance(ri
 
 
 def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):
-    """Rays are known far better than the coefficients that make them: no covariance may lose them
-    in rounding."""
+    """Rays are known far better than coefficients: no covariance may lose them in rounding."""
     report = rigged[1]
     state = report.params.with_degree(8)
     seen = collect_observations(

@@ -1,5 +1,4 @@
-"""Corners of checkerboards, against boards drawn by casting rays through lenses with closed-form
-projections."""
+"""Corners of boards drawn by casting rays through lenses with closed-form projections."""
 
 import re
 
@@ -26,8 +25,7 @@ SAMPLES = 4  # a side, rays through each pixel
 
 
 def rays_of(uv, lens, center=CENTER):
-    """Unit rays (..., 3) that a lens images to pixels, NaN beyond its reach: its closed form,
-    turned around."""
+    """Unit rays (..., 3) of pixels, NaN beyond the lens's reach: its closed form inverted."""
     radius, reach_deg = LENSES[lens]
     theta = np.linspace(0, np.radians(reach_deg), 20001)
     offset = uv - center
@@ -61,8 +59,7 @@ def draw(pose, board=BOARD, lens="equidistant 210", seed=0, blur=0.5, noise=2.0)
 
 
 def shade(pose, board, rays, background):
-    """Gray levels where rays meet the board: squares, black between the first four corners, and a
-    white margin."""
+    """Gray levels where rays meet the board: black between the first corners, a white margin."""
     columns, rows = board.corners
     front = rays @ pose.R[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -173,8 +170,7 @@ def test_corners_of_large_blurred_squares():
 
 
 def test_wrong_corners_of_the_detector_are_corrected_or_dropped(picture, corners):
-    """By a whole square, as the detector does it, and by a little more than what its window can
-    bring back."""
+    """By a whole square, as the detector errs, and by a little more than its window repairs."""
     rng = np.random.default_rng(0)
     start = corners + rng.normal(0, 0.3, corners.shape)
     wrong = rng.permutation(120)[:6]
@@ -225,8 +221,7 @@ def test_a_stain_moves_no_corner_far(picture, corners):
 
 @pytest.mark.parametrize("blur", [0.5, 2.5])
 def test_edges_are_as_wide_as_the_blur(blur):
-    """A step through a Gaussian is σ √2π wide, by contrast over slope; the pixel itself adds a
-    little."""
+    """A step through a Gaussian is σ √2π wide, contrast over slope; the pixel adds a little."""
     picture = draw(place(20, distance=0.6), blur=blur, noise=1.0)
     # variances of the pixel's square and of the difference over one pixel between pixels
     pixel = 1 / 12 + 2 / 12

@@ -1,5 +1,4 @@
-"""Rigs measured from images: closed-form points first, then frames that were rendered with known
-poses."""
+"""Rigs measured from images: closed-form points, then frames rendered with known poses."""
 
 import numpy as np
 import pytest

@@ -21,8 +21,7 @@ from omnistereo_tools import cli
 
 
 def given(roll_deg=0.0):
-    """Return the lens of `boards`, r = F θ, as a camera whose affine map rolls it about its axis,
-    and that roll."""
+    """Return the lens of `boards` as a camera whose affine map rolls it, and that roll."""
     theta = np.linspace(1e-3, np.radians(108), 400)
     powers = np.array([0, *range(2, 15)])
     r = F * theta
@@ -62,8 +61,7 @@ def seen():
 
 
 def test_poses_of_given_cameras_are_found(seen):
-    """With a few shared captures, which would not do for the intrinsics, and cameras whose affine
-    maps roll them."""
+    """With few shared captures, too few for intrinsics, and affine maps that roll cameras."""
     cameras, rolls = zip(*(given(roll) for roll in (0, 25, 0, -40)), strict=True)
     rig, report = calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=cameras)
     assert rig.cameras == cameras

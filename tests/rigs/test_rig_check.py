@@ -1,5 +1,4 @@
-"""Rig check: every mix-up, made on purpose, is named and undone; a camera that moved is measured;
-right rigs pass."""
+"""Rig check: every mix-up is named and undone, a moved camera measured; right rigs pass."""
 
 import dataclasses
 import itertools
@@ -160,8 +159,7 @@ def test_a_turn_by_any_angle_is_no_mixup(degrees, axis):
 
 
 def test_swapped_images_are_named_although_their_lenses_differ():
-    """Centres of lenses that are a degree apart, as in this small world, hide what was swapped from
-    the pairs."""
+    """Centres of lenses a degree apart, as in this small world, hide a swap from the pairs."""
     rig = scene.rig(width=200, height=192)
     images = scene.images(rig, finest=0.25)
     found = rig_check.find_mixup(osl.Frame.of(rig, [images[k] for k in (1, 0, 2, 3)]))

@@ -1,5 +1,4 @@
-"""Looks at a rig whose noise is known: how often a turn is found, and one that is not there; what
-is done then."""
+"""Looks at a rig whose noise is known: how often a turn is found, or a false one."""
 
 import json
 import re
@@ -27,8 +26,7 @@ SEEN = np.stack([seen(np.eye(24)[k] * 1e-6) / 1e-6 for k in range(24)], axis=1)
 
 
 def noise(rng, turn_deg=0.02, shift=0.001):
-    """The differences of a rig whose poses are off by chance, and their covariance, as images show
-    them."""
+    """The differences of a rig whose poses are off by chance, and their covariance."""
     sd = np.tile(np.repeat([np.radians(turn_deg), shift], 3), len(RIG))
     return (SEEN @ (sd * rng.normal(size=24))).reshape(-1, 6), SEEN @ np.diag(sd**2) @ SEEN.T
 

@@ -32,8 +32,7 @@ def test_gains_undo_exposures_and_white_balance(box):
 
 
 def test_no_edge_shows_where_a_camera_ends(box):
-    """Each camera is darker towards its rim, as lenses are: `Depth.panorama` has steps there, the
-    blend has none."""
+    """Each camera is darker towards its rim: `Depth.panorama` has steps there, the blend none."""
     center = box.sweep.rig.cameras[0].center
     v, u = np.indices(box.images[0].shape)
     falloff = 1 - 0.4 * (np.hypot(u - center[0], v - center[1]) / 190).clip(0, 1) ** 2
@@ -53,8 +52,7 @@ def test_the_blend_of_equal_cameras_is_the_scene(box):
 
 
 def test_a_finer_panorama_keeps_planes_and_has_no_teeth_at_an_edge(box):
-    """Of a depth with an edge along a diagonal, between planes in index; one ray, beside the seam,
-    is unknown."""
+    """Of a depth with a diagonal edge between planes in index; one ray is unknown."""
     rows, columns = np.indices(GRID.shape)
     near = columns - rows > 100
     index = np.where(near, 40 + 0.1 * rows, 10 + 0.1 * rows).astype(np.float32)

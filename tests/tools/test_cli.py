@@ -1,5 +1,4 @@
-"""The command line: what it writes, and one plain line on everything that can be wrong with its
-input."""
+"""The command line: what it writes, and one plain line on everything wrong with its input."""
 
 import json
 import re

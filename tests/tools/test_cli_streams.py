@@ -1,5 +1,4 @@
-"""The command line on a bad day: Ctrl-C, a reader that leaves, little memory, an ASCII terminal.
-Never a traceback."""
+"""The command line on a bad day: Ctrl-C, a reader that leaves, little memory, ASCII."""
 
 import io
 import os

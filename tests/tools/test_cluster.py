@@ -29,8 +29,7 @@ def distributed():
 
 @pytest.fixture(scope="module")
 def cluster(distributed):
-    """Two workers, forked by a process that has imported the library, as is the one in place of the
-    killed one."""
+    """Two workers, forked by a process that has imported the library, as is the replacement."""
     import dask
 
     options = {

@@ -1,5 +1,4 @@
-"""Coverage of a rig against closed forms: solid angles of cones, triangulation of two rays, spheres
-a pixel apart."""
+"""Coverage of a rig against closed forms: solid angles, triangulation, spheres a pixel apart."""
 
 from itertools import combinations
 
@@ -27,8 +26,7 @@ def test_shares_of_back_to_back_cameras_are_solid_angles():
 
 
 def test_baseline_across_the_ray_and_resolution_by_triangulation():
-    """A pair 0.2 m apart along x: rotate the left ray by the angle of a pixel, and see where it
-    meets the right one."""
+    """0.2 m apart along x: rotate the left ray by a pixel, see where it meets the right one."""
     coverage = Coverage.of(rig_of([0, 0, 0, -0.1, 0, 0], [0, 0, 0, 0.1, 0, 0]))
     rays = coverage.grid.rays()
     two = coverage.cameras == 2

@@ -1,5 +1,4 @@
-"""Perspective crops: what a pinhole at the place of the camera sees of the box, its depth, its
-pose."""
+"""Perspective crops: what a pinhole at the camera sees of the box, its depth, its pose."""
 
 import json
 

@@ -18,8 +18,7 @@ def world():
 
 
 def darkened(rig, images, fov_deg, noise=3):
-    """Return the images black beyond a field of view: of the equidistant lens, a circle around the
-    centre."""
+    """Return the images black beyond a field of view: a circle around the centre."""
     random, dark = np.random.default_rng(0), []
     for camera, image in zip(rig.cameras, images, strict=True):
         v, u = np.indices(image.shape[:2])

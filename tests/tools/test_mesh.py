@@ -1,5 +1,4 @@
-"""Meshes, loaded by another program: on the walls, textured with what the ray sees, cut at depth
-edges, y up."""
+"""Meshes, loaded by another program: on the walls, textured, cut at depth edges, y up."""
 
 import json
 

@@ -1,5 +1,4 @@
-"""Nothing that a command reads is written over, whatever its names: each option that writes is
-tried."""
+"""Nothing that a command reads is written over: each option that writes is tried."""
 
 import os
 from typing import get_type_hints

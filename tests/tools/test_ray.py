@@ -1,5 +1,4 @@
-"""Why a ray has its depth: each kind of sentence on images whose depth is known, and the numbers
-behind it."""
+"""Why a ray has its depth: each kind of sentence where depth is known, and its numbers."""
 
 from dataclasses import replace
 

@@ -193,8 +193,7 @@ def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monk
 
 
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path, capsys):
-    """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed
-    again."""
+    """`tests/test_kills.py` kills it at any moment; here no frame is computed again."""
     out = tmp_path / "out"
     folder = out / "depth_estimate_96"
     video = ["--video", out / "depth.mp4"]
@@ -226,8 +225,7 @@ def test_a_hole_in_a_result_is_computed_again(recorded, done, tmp_path):
 
 
 def test_the_rig_of_a_frame_stays_with_it(recorded, tmp_path):
-    """The second camera has turned by 1° since frame 5: a frame before it that is computed again
-    has the old pose."""
+    """The second camera turned by 1° at frame 5: an earlier frame keeps the old pose."""
     out, rng = tmp_path / "out", np.random.default_rng(0)
     assert run(*record_command(recorded, out), "--follow") == 0
     before = read_inverse_depth(out / "depth_estimate_96" / "00002.tiff")
@@ -474,8 +472,7 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
 @pytest.mark.filterwarnings("ignore:the time stamps of a frame differ")
 @pytest.mark.parametrize(("rate", "apart"), [(20, 20), (30, 16.7), (12.5, 20)])
 def test_videos_of_unequal_rates_are_matched_by_time(tmp_path, rate, apart):
-    """The gray value of a frame is its time in hundredths of a second, which is the oracle; the
-    first one has 25."""
+    """The gray value of a frame is its time in hundredths of a second; the first one has 25."""
     for name, fps in (("a.mkv", 25), ("b.avi", rate)):
         grays = [np.full((16, 16), round(100 * k / fps), np.uint8) for k in range(round(2 * fps))]
         write_video(tmp_path / name, grays, fps)

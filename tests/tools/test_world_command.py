@@ -209,8 +209,7 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
 
 
 def middle(page, yaw, degrees):
-    """What the page draws in a square around a direction from the rig, so far to each side; (N, N,
-    3)."""
+    """What the page draws in a square around a direction from the rig; (N, N, 3)."""
     read = page.evaluate(
         """([yaw, degrees]) => {
             Object.assign(view, { yaw, pitch: 0, behind: 0 })

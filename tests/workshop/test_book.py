@@ -245,8 +245,7 @@ DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationF
 
 
 def heard(page, axe):
-    """What axe-core finds on a page, asked again where it does not answer: seen once, on a busy
-    machine."""
+    """What axe-core finds on a page, asked again where it does not answer, as seen once."""
     from playwright.sync_api import TimeoutError as NoAnswer
 
     for tried in range(2):
@@ -260,8 +259,7 @@ def heard(page, axe):
 
 
 def test_book_fits_shows_every_picture_and_is_read_by_keyboard_and_by_ear(built, served, open_page):
-    """The last by what axe-core once found, and by axe-core itself where AXE names its file, as in
-    CI."""
+    """By what axe-core once found, and by itself where AXE names its file, as in CI."""
     axe = os.environ.get("AXE")
     page, wrong = open_page(1280, 844), {}
     names = {path.relative_to(built[0]).as_posix() for path in built[0].rglob("*.html")}
@@ -357,8 +355,7 @@ def test_notation_names_what_the_library_has():
 
 
 def exists(name):
-    """Tell whether a name, as the book writes it, is one of the library's: `load_rig`,
-    `metrics.error_map`."""
+    """Tell whether a name is one of the library's: `load_rig`, `metrics.error_map`."""
     first, *rest = name.split(".")
     faces = (osl, omnistereo_rigs, omnistereo_learn)
     home = next((face for face in faces if first in face.__all__), None)

@@ -1,5 +1,4 @@
-"""The reproduction report: the paper's numbers are consistent, the rules give their verdicts, the
-page keeps up."""
+"""The reproduction report: the paper's numbers agree, rules give verdicts, the page is new."""
 
 import re
 from copy import deepcopy

@@ -1,5 +1,4 @@
-"""The figures of `python -m workshop world-table`: which rays are right, which lie at an edge, and
-F of a mesh."""
+"""`python -m workshop world-table`: which rays are right, which lie at an edge, F of a mesh."""
 
 import numpy as np
 import pytest

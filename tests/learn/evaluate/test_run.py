@@ -1,5 +1,4 @@
-"""Evaluation runs: frames against the single steps, runs that are interrupted and killed, what is
-refused."""
+"""Evaluation runs: frames against single steps, interrupted runs, what is refused."""
 
 import hashlib
 import json

@@ -1,5 +1,4 @@
-"""The results that ship: of the data and weights that ship, and the same when they are computed
-again."""
+"""The results that ship: of the data and weights that ship, and the same again."""
 
 import re
 from itertools import product
@@ -122,8 +121,7 @@ def test_the_page_on_training_quotes_the_results():
 
 
 def test_the_page_on_training_quotes_the_rigs_that_no_network_has_seen():
-    """Mean over the frames of the mean error over their rays that two cameras see; VolumeNet is the
-    best in each."""
+    """Mean error over the rays that two cameras see; VolumeNet is the best in each."""
     methods = ("zncc+sgm", "sweepnet+sgm", "sweepnet+sgm,weights=sweepnet_worlds", "volumenet")
     for world, frames in read_record(STORED["teaching-worlds"])["frames"].items():
         errors = np.zeros((len(frames), len(methods)))

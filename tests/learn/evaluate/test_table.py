@@ -1,5 +1,4 @@
-"""Metrics and regions against definitions written out ray by ray, bootstrap intervals, tables,
-records."""
+"""Metrics and regions against definitions ray by ray, intervals, tables, records."""
 
 import csv
 import io
@@ -194,8 +193,7 @@ def test_depth_ranges_and_cameras():
 
 
 def test_hand_overs_are_where_the_view_of_a_camera_ends():
-    """Four cameras of 220° in one place: views end 20° and 70° off each axis, so on the horizon at
-    eight azimuths."""
+    """Four cameras of 220° in one place: views end 20° and 70° off each axis."""
     camera = RIG.cameras[0]
     poses = [
         osl.Pose.from_vector([0, angle, 0, 0, 0, 0]) for angle in np.radians([0, 90, 180, 270])
@@ -212,8 +210,7 @@ def test_hand_overs_are_where_the_view_of_a_camera_ends():
 
 
 def test_beside_a_plate_only_one_of_two_cameras_sees_the_sky():
-    """Cameras at x = ±0.5 m behind a plate at z = 2 m, |x| < 1 m: θ from arctan(1/2) to
-    arctan(3/4), on both sides."""
+    """x = ±0.5 m, a plate at z = 2 m, |x| < 1 m: θ from arctan(1/2) to arctan(3/4)."""
     rig = osl.Rig([RIG.cameras[0]] * 2, [osl.Pose(np.eye(3), [x, 0, 0]) for x in (-0.5, 0.5)])
     grid = osl.SphereGrid(720, 20, (-45, 45), 32, 1.5)
     x, _, z = np.moveaxis(grid.rays(), -1, 0)

@@ -17,8 +17,7 @@ F = 140.0  # px: the circle of 220° is a little larger than the image
 
 
 def stereographic(f=F, **changes):
-    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse one is a fit to
-    it."""
+    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse is a fit."""
     poly = [-f, 0.0, 1 / (4 * f)]
     parameters = {
         "poly": poly,
@@ -196,8 +195,7 @@ def test_bad_points_and_polynomials_are_named():
 
 
 def test_the_direct_polynomial_ends_where_it_stops_growing():
-    """f(r)/r = -100/r - 6.25e-6 r² grows up to r = 200 px; beyond 286 px the same angles come
-    again."""
+    """f(r)/r = -100/r - 6.25e-6 r² grows up to r = 200 px; beyond 286 px angles come again."""
     poly = [-100.0, 0.0, 0.0, -6.25e-6]
     camera = OcamCamera(
         poly, fit_inverse_polynomial(poly, 100, 250), (349.5, 349.5), (1, 0, 0), (700, 700), 100

@@ -1,5 +1,4 @@
-"""One vocabulary of methods: every name comes back, wrong ones are explained, an object of one's
-own takes part."""
+"""One vocabulary of methods: names come back, wrong ones are explained, own costs join."""
 
 import doctest
 import multiprocessing

@@ -1,5 +1,4 @@
-"""Wrong arguments that `bad_inputs.py` does not have: each gets the library's error, at once, and
-says why."""
+"""Wrong arguments that `bad_inputs.py` lacks: each gets the library's error, at once."""
 
 import dataclasses
 import multiprocessing

@@ -1,5 +1,4 @@
-"""Depth in other processes, after the parent has started its threads: it must end, with the
-parent's result."""
+"""Depth in other processes, after the parent has started its threads: it must end."""
 
 import multiprocessing
 import os
@@ -39,8 +38,7 @@ class Frames(Dataset):
 
 
 def main():
-    """Estimate here, then in forked and spawned processes, by each of Python's and torch's ways to
-    start them."""
+    """Estimate here, then in forked and spawned processes, by Python's and torch's ways."""
     expected = [index(method) for method in METHODS]
     results = {}
     with multiprocessing.get_context("spawn").Pool(1) as pool:  # it imports torch again

@@ -1,5 +1,4 @@
-"""Other people's rigs: whatever the number, place, lens and image size of the cameras, the walls
-are found."""
+"""Other people's rigs: whatever the cameras, the walls are found."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,4 @@
-"""SGM against its definition in float64, and what the definition does not say: laps, threads,
-memory."""
+"""SGM against its definition in float64, and beyond it: laps, threads, memory."""
 
 from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
@@ -64,8 +63,7 @@ def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
 
 
 def test_a_ray_with_nothing_to_compare_passes_messages_on():
-    """A ray of constant cost, one without known cells and one with a single known cell are the same
-    to all others."""
+    """Rays of constant cost, without known cells, or with one, are the same to all others."""
     volume = noise((6, 9, 12))
     hole = np.s_[2:4, 3:6]
     volume[hole] = 0.7
@@ -82,8 +80,7 @@ def test_a_ray_with_nothing_to_compare_passes_messages_on():
 @pytest.mark.parametrize(("gap", "message"), [(0.1, 1.0), (0.001, MAX_LAPS * 0.001)])
 @pytest.mark.parametrize("sgm", [sgm, in_float64])
 def test_one_opinion_comes_round_lap_by_lap(sgm, gap, message):
-    """In a row without texture one pixel's message adds up to P2 over P2 / gap laps, or until the
-    laps run out."""
+    """Without texture one pixel's message adds up to P2 over P2 / gap laps, or all laps."""
     volume = np.full((1, 5, 6), 0.5, np.float32)
     volume[0, 0] += gap * (np.arange(6) != 2)
     smooth = sgm(volume, 1.0, 1.0, 4)

@@ -89,8 +89,7 @@ def test_training_data_are_those_that_ship():
 
 @pytest.mark.parametrize("cost", ["mccnn", "sweepnet"])
 def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(cost):
-    """By the stored results, ZNCC with the paper's window; with its own at 320 columns it has fewer
-    rays above 1 %."""
+    """By the stored results, ZNCC with the paper's window; its own has fewer rays above 1 %."""
     small, ablations, paper = (
         read_record(SUNNY.parent / "results" / f"{name}.json")["frames"]["sunny"]["00831"]
         for name in ("teaching", "ablations", "paper")

@@ -59,8 +59,7 @@ def test_warped_images_are_those_of_the_definition(cameras, max_fov_deg, masked,
 
 
 def test_a_wall_is_sharp_on_its_own_sphere(world):
-    """On the sphere of its depth a point looks the same to all cameras: a map of true indices
-    aligns them."""
+    """A map of true indices aligns the cameras."""
     rig, images = world
     sweep = osl.SphereSweep(rig, GRID)
     aligned = np.stack(sweep.warp(images, scene.true_index(rig, GRID)))
@@ -151,8 +150,7 @@ def test_the_blur_is_half_the_spacing_of_the_samples(spacing):
 
 
 def test_detail_finer_than_the_panorama_does_not_reach_it(world):
-    """Stripes of two pixels, which a panorama of four pixels a column would show as a pattern that
-    is not there."""
+    """Stripes of two pixels would show as a pattern at four pixels a column."""
     rig, images = world
     stripes = [image + 80 * (-1.0) ** np.indices(image.shape).sum(0) for image in images]
     assert rig.cameras[0].pixels_per_degree * 360 / GRID.width > 4

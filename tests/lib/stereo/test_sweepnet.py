@@ -1,5 +1,4 @@
-"""SweepNet against Table I written out in plain float64 torch, `LearnedCost` against both, and
-files of weights."""
+"""SweepNet against Table I in plain float64 torch, `LearnedCost` against both, and files."""
 
 import json
 import resource
@@ -41,8 +40,7 @@ def images(cameras=4, B=2, H=12, W=96, seed=0):
 
 
 def dense(net, spherical, pairs, double=True):
-    """Table I, every layer on the whole panorama of every pair; wrap: circular columns in every
-    layer."""
+    """Table I, every layer on the whole panorama of every pair; wrap: circular columns."""
     weights = {
         name.removeprefix("layers."): w.double() if double else w
         for name, w in net.state_dict().items()
@@ -138,8 +136,7 @@ def test_a_case_done_by_hand():
     "pairs", [RING, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]], ids=["ring", "all"]
 )
 def test_the_network_and_its_fast_evaluation_equal_table_one(wrap, pairs):
-    """`forward` in float64 to rounding; `LearnedCost` within the tolerance of its precision, given
-    columns or not."""
+    """`forward` in float64 to rounding; `LearnedCost` within its precision's tolerance."""
     net, (spherical, columns) = network(wrap=wrap), images()
     expected = dense(net, spherical, pairs)
     assert expected[~expected.isnan()].std() > 0.02
@@ -212,8 +209,7 @@ def test_gradient_reaches_every_parameter(batch_norm):
 
 
 def test_features_keep_their_order_in_memory():
-    """The gradient of the weights in float32 on a CPU takes several times as long where a layer
-    gets channels last."""
+    """The gradient in float32 on a CPU is several times slower where channels come last."""
     maps = torch.zeros(2, 32, 6, 48)
     for layout in (torch.contiguous_format, torch.channels_last):
         columns = Features(maps.contiguous(memory_format=layout)[..., 2:-2], 0, 44).wrapped_columns(
@@ -307,8 +303,7 @@ def test_bad_files_of_weights(tmp_path):
 
 
 def test_a_full_disk_leaves_the_old_weights(tmp_path):
-    """A limit on the size of files stands for the disk: the operating system refuses the same way,
-    halfway."""
+    """A limit on the size of files stands for the disk: refused the same way, halfway."""
     path = tmp_path / "a.safetensors"
     save_tensors(path, {"x": torch.zeros(2)}, {})
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -181,8 +181,7 @@ def test_the_read_out_by_brute_force(num_spheres):
 
 
 def test_the_mean_reaches_into_the_cells_beside_the_best_one():
-    """A wall between two of the 48 cells: its probabilities are interpolated, and their mean must
-    not stay in one."""
+    """A wall between two of the 48 cells: the mean must not stay in one."""
     cells = torch.linspace(0.0, 1.0, 9)  # how far the wall is from the first cell to the next
     logits = torch.full((9, 1, 48), -20.0)
     logits[:, 0, 20], logits[:, 0, 21] = torch.log(1 - cells + 1e-6), torch.log(cells + 1e-6)

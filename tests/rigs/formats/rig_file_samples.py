@@ -21,8 +21,7 @@ F = 140.0  # px
 
 
 def stereographic(**changes):
-    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse one is a fit to
-    it."""
+    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse is a fit."""
     poly = [-F, 0.0, 1 / (4 * F)]
     inv_poly = fit_inverse_polynomial(poly, 220.0, 3 * max(SIZE), tolerance=2e-8)
     return OcamCamera(

@@ -1,5 +1,4 @@
-"""What a rig file assumes without saying is checked: frame, contradictions, keys, field of view,
-principal point."""
+"""What a rig file assumes is checked: frame, contradictions, keys, field of view, centre."""
 
 import logging
 import re
@@ -33,8 +32,7 @@ FLU = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
 
 
 def ring(R=None, rolls=(0, 0, 0, 0), tilt=0.0):
-    """Return four cameras around a circle, in a frame rotated by R, each rolled and tilted by
-    degrees."""
+    """Return four cameras around a circle, in a frame rotated by R, rolled and tilted."""
     poses = []
     for quarter, roll in enumerate(rolls):
         around = Rotation.from_rotvec([0, quarter * np.pi / 2, 0])
@@ -129,8 +127,7 @@ def test_poses_that_are_stated_twice_are_compared(tmp_path):
 
 
 def test_a_narrow_ocam_lens_ends_where_its_image_does(tmp_path):
-    """r = 2 f tan(θ/2) in an image that ends 200 px from the centre; its polynomial stops
-    increasing at 150°."""
+    """r = 2 f tan(θ/2), 200 px to the border; its polynomial stops increasing at 150°."""
     f, size = 325.0, (400, 300)
     theta = np.linspace(0, np.radians(75), 200)
     inverse = (

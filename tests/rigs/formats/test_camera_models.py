@@ -60,8 +60,7 @@ def test_models_by_hand(model, parameters, by_hand, point):
 
 
 def test_omni_distortion_is_opencvs():
-    """The pinhole camera of OpenCV has the same distortion, on the plane that the sphere is seen
-    on."""
+    """OpenCV's pinhole camera has the same distortion, on the plane that sees the sphere."""
     at = rays(np.arange(1, 60, 7))
     distortion = {"k1": 0.01, "k2": -0.002, "p1": 0.003, "p2": -0.001}
     ours, valid = make_camera_model("omni", PINHOLE | {"xi": 1.5} | distortion)(at)

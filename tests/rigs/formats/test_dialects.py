@@ -1,5 +1,4 @@
-"""Files of other programs: pixels against formulas written out for one ray, poses against the rig
-they state."""
+"""Files of other programs: pixels against formulas for one ray, poses against their rig."""
 
 import json
 import logging
@@ -377,8 +376,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
 
 
 def test_the_share_of_pixels_beyond_a_model_is_said(tmp_path):
-    """θ - 0.3 θ³ grows up to θ = 1.054, where a circle of 200 · 0.703 px around the principal point
-    ends."""
+    """θ - 0.3 θ³ grows up to θ = 1.054, at a radius of 200 · 0.703 px."""
     lens = LINEAR | {"intrinsics": [200.0, 200.0, 399.5, 379.5], "distortion_model": "equidistant"}
     rig, said = read(tmp_path / "a.yaml", every(chain(), **lens, distortion_coeffs=[-0.3, 0, 0, 0]))
     share = 100 - 100 * np.pi * (200 * 0.7027) ** 2 / (WIDTH * HEIGHT)

@@ -24,8 +24,7 @@ T_A_B = osl.Pose.from_vector([0.05, 0.2, -0.03, 0.4, 0.1, 0.5])
 
 
 def in_sphere(place):
-    """The distance from inside a sphere around the origin to its wall, along the rays of a rig that
-    is not turned."""
+    """The distance from inside a sphere around the origin to its wall, along rig rays."""
     along = GRID.rays() @ place
     return np.sqrt(along**2 + RADIUS**2 - place @ place) - along
 
@@ -51,8 +50,7 @@ def sphere():
 
 @pytest.fixture(scope="module")
 def sightings():
-    """Two frames of a rig in the textured box: images and exact depth, before and after a known
-    step."""
+    """Two frames of a rig in the box: images and exact depth, before and after a step."""
     rig = scene.rig(width=400, height=384).recentered()
     finder, found = SightingFinder(rig, GRID), []
     for T in (osl.Pose.identity(), T_A_B):
@@ -73,8 +71,7 @@ def test_the_step_of_the_rig_is_found_without_a_guess_and_with_a_wrong_one(sight
 
 
 def test_errors_of_the_depth_do_not_shorten_the_step(sightings):
-    """Thousands of inverse distances are off by a tenth, each by itself; taken as exact they cost
-    0.06 %."""
+    """Thousands of inverse distances are off by a tenth; taken as exact they cost 0.06 %."""
     rig, *both = sightings
     rng, noisy = np.random.default_rng(0), []
     for one in both:
@@ -153,8 +150,7 @@ def test_what_other_frames_see_through_is_carved():
 
 
 def test_a_far_surface_carves_as_surely_as_a_near_one():
-    """A car 3 m away is seen once; twice the way is free up to a wall that is uncertain by
-    metres."""
+    """A car 3 m away is seen once; beyond it the way is free up to a wall of unsure distance."""
     depth, place = np.full(GRID.shape, 9.0), np.zeros(3)
     volume = fused([view(place, in_sphere(place)), *[view(place, depth)] * 2])
     inverse, _ = volume.march(osl.Pose.identity(), GRID.rays(), REACH)
@@ -243,8 +239,7 @@ def test_a_trajectory_is_read_as_it_was_written_and_a_damaged_one_refused(tmp_pa
 
 
 def test_features_lie_where_the_image_has_them_on_average():
-    """OpenCV's default puts keypoints a quarter of a pixel to the right and below, which turns the
-    path."""
+    """OpenCV's default puts keypoints a quarter pixel right and down, which turns the path."""
     camera = scene.camera(width=400, height=384)
     rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(400), np.arange(384)), -1))
     spots = np.random.default_rng(0).normal((0, 0, 1), 1, (400, 3))

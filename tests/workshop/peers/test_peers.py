@@ -1,5 +1,4 @@
-"""What we write, opened by the programs that people use, each installed by the test; and the page
-that says so."""
+"""What we write, opened by the programs that people use, and the page that says so."""
 
 import functools
 import http.server

@@ -6,8 +6,7 @@ from workshop.render.camera.lens import SENSOR_MM
 
 
 def blender_pixel(lens, directions, size):
-    """Where Cycles draws directions (n, 3): θ of its polynomial, solved by bisection, then its
-    shift."""
+    """Where Cycles draws directions (n, 3): θ of its polynomial by bisection, then its shift."""
     width, height = size
     k = np.array(lens.blender_coefficients())
     theta = np.arctan2(np.hypot(*directions.T[:2]), directions[:, 2])

@@ -1,5 +1,4 @@
-"""The ray caster of the endless worlds against Blender: the same boxes, ellipsoids and cylinders,
-seen by both."""
+"""The caster of the endless worlds against Blender: boxes, ellipsoids, cylinders."""
 
 from pathlib import Path
 

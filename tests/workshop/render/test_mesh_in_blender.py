@@ -1,5 +1,4 @@
-"""A mesh of `omnistereo depth --mesh`, opened in Blender: metres, z up, the texture where the rays
-are."""
+"""A mesh of `omnistereo depth --mesh` in Blender: metres, z up, texture on its rays."""
 
 import json
 

@@ -124,8 +124,7 @@ np.save(out + "/picture.npy", fisheye_picture(lens, T_world_cam, (200, 192), 128
 
 @needs_blender
 def test_balls_are_where_the_camera_model_says(tmp_path):
-    """The whole chain of lens, shift, pose and row order; the axis is far from the middle, so that
-    a shift shows."""
+    """The chain of lens, shift, pose, row order; the axis is off the middle: a shift shows."""
     theta = np.radians([0, 25, 25, 25, 50, 50, 50, 75, 75, 75, 90, 90, 90, 104, 104, 104])
     azimuth = np.arange(len(theta)) * np.radians(130)
     rays = np.stack(

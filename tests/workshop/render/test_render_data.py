@@ -85,8 +85,7 @@ def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped):
 
 
 def surely_seen(center, inverse_depth, grid):
-    """Where a camera sees the point of a ray: the whole line of sight lies before what the rig's
-    centre sees."""
+    """Where a camera surely sees the point of a ray: the line of sight is free."""
     with np.errstate(divide="ignore"):
         points = grid.rays() * np.minimum(1 / inverse_depth, 1e4)[..., None]
     seen = np.ones(grid.shape, bool)
@@ -102,8 +101,7 @@ def surely_seen(center, inverse_depth, grid):
 
 
 def warped_zncc(frame, inverse_depth, grid):
-    """ZNCC and contrast in windows of neighbouring cameras' images, warped with a depth for each
-    ray."""
+    """ZNCC and contrast of neighbouring cameras' images, warped with a depth for each ray."""
     sweep = osl.SphereSweep(frame.rig, grid)
     gray = [
         image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -135,8 +133,7 @@ WARPED = [
 
 @pytest.mark.parametrize(("name", "i", "even", "share"), WARPED)
 def test_images_warped_with_the_truth_agree(name, i, even, share):
-    """The sensors' noise reaches 7 gray values in shadows: texture is what has three times that
-    contrast."""
+    """Noise reaches 7 gray values in shadows: texture is what has three times that contrast."""
     data = osl.load_dataset(SAMPLES.parent / name, gt_width=640)
     grid, truth = OTHERS.get(name, GRID), data[i].inverse_depth
     low, high = around(truth, WINDOW)
@@ -205,8 +202,7 @@ def sky_warmth(frame):
 
 
 def test_the_sample_is_a_frame_of_the_test_drive_with_images_twice_as_wide(shipped):
-    """Made smaller, its images are those of the drive but for noise and lossy files; a row off,
-    they are not."""
+    """Made smaller, its images are the drive's but for noise; a row off, they are not."""
     (sample,) = osl.load_dataset(SAMPLES.parents[1] / "omnistereo_lib" / "sample")
     frame = osl.load_dataset(SAMPLES, split="test", gt_width=640).frame(831)
     assert sample.number == 831 and SETS["sample"].shipped == (831,)
@@ -222,8 +218,7 @@ def test_the_sample_is_a_frame_of_the_test_drive_with_images_twice_as_wide(shipp
 
 
 def test_the_drive_s_frames_follow_one_another_on_its_trajectory():
-    """What one frame sees lies, by the poses of the trajectory, where the next one sees it, unless
-    it drives."""
+    """What one frame sees lies where the next one sees it, by the trajectory, unless it drives."""
     data = osl.load_dataset(SAMPLES.parent / "drive", split="test")
     poses = read_trajectory(SAMPLES.parent / "drive/test/trajectory.txt")
     assert tuple(frame.number for frame in data) == SETS["drive/test"].shipped == tuple(poses)

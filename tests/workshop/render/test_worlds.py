@@ -1,5 +1,4 @@
-"""Training worlds without Blender: rigs and plans that differ from frame to frame, frames that are
-whole or absent."""
+"""Training worlds without Blender: rigs and plans differ, frames are whole or absent."""
 
 import sys
 import warnings
@@ -161,8 +160,7 @@ def test_plans_come_from_their_seeds():
 
 @pytest.fixture
 def no_blender(monkeypatch):
-    """Blender replaced by noise for images and a ball of 2 m around the rig; one plain room for all
-    frames."""
+    """For Blender noise and a ball of 2 m around the rig; one plain room for all frames."""
     blender = SimpleNamespace(
         empty_scene=lambda: None,
         fisheye_picture=lambda lens, pose, size, samples, seed: rng(seed).random((*size[::-1], 3)),
