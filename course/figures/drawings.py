@@ -16,37 +16,33 @@ from omnistereo_lib.geometry.camera import OcamCamera
 Point = Any
 # cameras 1 and 2, as everywhere; the point, the spheres
 FIRST, SECOND, POINT, SPHERE = "C0", "C1", "C3", "0.75"
+CENTERED: dict[str, Any] = {"ha": "center", "va": "center"}
 
 
 def _canvas(width: float, height: float, panels: int = 1) -> tuple[Figure, list[Axes]]:
-    fig, axes = plt.subplots(
-        1, panels, figsize=(width, height), layout="constrained", squeeze=False
-    )
-    for ax in axes[0]:
+    fig = plt.figure(figsize=(width, height), layout="constrained")
+    axes = fig.subplots(1, panels, squeeze=False)[0]
+    for ax in axes:
         ax.set_aspect("equal")
         ax.set_axis_off()
-    return fig, list(axes[0])
+    return fig, list(axes)
 
 
-def _arrow(
-    ax: Axes, start: Point, end: Point, color: str = "0.2", text: str = "", **at: Any
-) -> None:
+def _beside(ax: Axes, place: Point, text: str, offset: Point, **style: Any) -> None:
+    """Write a text so many points beside a place."""
+    ax.annotate(text, place, offset, textcoords="offset points", **style)
+
+
+def _arrow(ax: Axes, start: Point, end: Point, color: str, text: str = "", **at: Any) -> None:
     style = {"arrowstyle": "-|>", "color": color, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", end, start, arrowprops=style)
     if text:
-        middle = (np.array(start) + end) / 2
-        ax.annotate(
-            text, middle, textcoords="offset points", **({"xytext": (6, 4), "color": color} | at)
-        )
+        _beside(ax, (np.array(start) + end) / 2, text, **({"offset": (6, 4), "color": color} | at))
 
 
-def _camera(
-    ax: Axes, place: Point, name: str, color: str, offset: tuple[float, float] = (0, -14)
-) -> None:
+def _camera(ax: Axes, place: Point, name: str, color: str, offset: Point = (0, -14)) -> None:
     ax.plot(*place, "o", ms=10, color=color)
-    ax.annotate(
-        name, place, offset, textcoords="offset points", ha="center", va="center", color=color
-    )
+    _beside(ax, place, name, offset, **CENTERED, color=color)
 
 
 def _text(ax: Axes, place: Point, text: str, **style: Any) -> None:
@@ -62,9 +58,8 @@ def aliasing() -> Figure:
     """A fine wave, sampled as it is and after a blur."""
     fig, axes = plt.subplots(1, 2, figsize=(10, 2.6), layout="constrained", sharey=True)
     x, samples = np.linspace(0, 40, 2000), np.arange(0, 41, 3.6)
-    for ax, amplitude, name in zip(
-        axes, (1.0, 0.04), ("sampled as they are", "blurred first"), strict=True
-    ):
+    waves = (1.0, "sampled as they are"), (0.04, "blurred first")
+    for ax, (amplitude, name) in zip(axes, waves, strict=True):
         stripes, at = (amplitude * np.cos(2 * np.pi * places / 3.1) for places in (x, samples))
         ax.plot(x, stripes, color=SPHERE, lw=1)
         ax.plot(samples, at, "o-", color=POINT, lw=2, ms=6)
@@ -100,9 +95,8 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
     left.plot(*ray(np.linspace(0, theta_deg, 40), 0), color=FIRST, lw=2.5)
     left.plot(*ray(theta_deg, np.linspace(0, phi_deg, 20)), color=SECOND, lw=2.5)
     left.text(*np.multiply(1.25, ray(0.55 * theta_deg, 0)), "θ", color=FIRST, fontsize=13)
-    left.text(
-        *np.multiply(1.15, ray(theta_deg + 12, 0.9 * phi_deg)), "φ", color=SECOND, fontsize=13
-    )
+    beside = np.multiply(1.15, ray(theta_deg + 12, 0.9 * phi_deg))
+    left.text(*beside, "φ", color=SECOND, fontsize=13)
     left.view_init(28, -62)
     left.set_box_aspect((1, 1, 0.75), zoom=1.45)
     left.set_axis_off()
@@ -113,10 +107,9 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
     right.plot(theta_deg, phi_deg, "o", color=POINT)
     right.text(0.5 * theta_deg, -3, "θ", color=FIRST, fontsize=13, ha="center")
     right.text(theta_deg + 4, 0.5 * phi_deg, "φ", color=SECOND, fontsize=13, va="center")
-    right.set(
-        xlim=(-180, 180), ylim=(45, -45), aspect="equal", xlabel="θ [°], columns to the right"
-    )
-    right.set(ylabel="φ [°], rows down", xticks=range(-180, 181, 90), yticks=(-45, 0, 45))
+    right.set(xlim=(-180, 180), ylim=(45, -45), aspect="equal", ylabel="φ [°], rows down")
+    right.set(xticks=range(-180, 181, 90), yticks=(-45, 0, 45))
+    right.set_xlabel("θ [°], columns to the right")
     return fig
 
 
@@ -126,7 +119,7 @@ def chain(steps: list[tuple[str, str]]) -> Figure:
     for k, (name, numbers) in enumerate(steps):
         color = plt.cm.viridis(0.35 + 0.13 * k)
         ax.add_patch(Rectangle((3 * k, 0), 2.3, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
-        ax.text(3 * k + 1.15, 0.55, numbers, ha="center", va="center", fontsize=9)
+        ax.text(3 * k + 1.15, 0.55, numbers, **CENTERED, fontsize=9)
         ax.text(3 * k + 1.15, 1.3, name, ha="center", fontsize=9, color="0.3")
         if k:
             _arrow(ax, (3 * k - 0.65, 0.55), (3 * k - 0.05, 0.55), "0.3")
@@ -139,9 +132,8 @@ def sphere_sweep() -> Figure:
     fig, axes = _canvas(10, 3.9, 2)
     first, second, car = (-0.6, 0.0), (0.6, 0.0), np.array([1.3, 2.6])
     radius = np.hypot(*car)
-    for ax, tried, verdict in zip(
-        axes, (1.55, 1.0), ("the wrong sphere", "the right sphere"), strict=True
-    ):
+    spheres = (1.55, "the wrong sphere"), (1.0, "the right sphere")
+    for ax, (tried, verdict) in zip(axes, spheres, strict=True):
         for r in (0.62 * radius, radius, 1.55 * radius):
             ax.add_patch(Circle((0, 0), r, fill=False, color=SPHERE, lw=1))
         ax.add_patch(Rectangle(tuple(car - (0.5, 0)), 1.0, 0.42, color="0.6", zorder=2))
@@ -175,7 +167,7 @@ def lens_section(camera: OcamCamera) -> Figure:
         ax.text(radius + 4, -24, f"r = {radius}", color=color, fontsize=9)
         if color == FIRST:
             ax.text(radius + 5, float(height / 2), "−f(r)", color=color, fontsize=9)
-    _arrow(ax, (0, 0), (0, 400), "0.2", "the axis, z", xytext=(-70, 80))
+    _arrow(ax, (0, 0), (0, 400), "0.2", "the axis, z", offset=(-70, 80))
     _line(ax, (-385, 0), (470, 0), color="0.6", lw=0.8)
     ax.text(478, 0, "90° from the axis", color="0.4", fontsize=9, va="center")
     ax.set(xlim=(-390, 640), ylim=(-190, 430))
@@ -194,28 +186,12 @@ def board_triangle() -> Figure:
         c, s = 0.55 * np.cos(np.radians(turned)), 0.55 * np.sin(np.radians(turned))
         for dx, dy, axis in ((c, s, "x"), (-s, c, "z")):
             _arrow(ax, (x, y), (x + dx, y + dy), color)
-            ax.text(
-                x + 1.2 * dx, y + 1.2 * dy, axis, color=color, ha="center", va="center", fontsize=9
-            )
+            ax.text(x + 1.2 * dx, y + 1.2 * dy, axis, color=color, **CENTERED, fontsize=9)
         ax.text(x, y - 0.28, name, ha="center", color=color)
-    _arrow(
-        ax,
-        (1.75, 1.95),
-        (0.25, 0.25),
-        "0.35",
-        r"$T_{1b}$, from picture 1",
-        ha="right",
-        xytext=(-8, 4),
-    )
-    _arrow(ax, (2.25, 1.95), (3.75, 0.25), "0.35", r"$T_{2b}$, from picture 2", xytext=(8, 4))
-    _arrow(
-        ax,
-        (3.7, -0.05),
-        (0.9, -0.05),
-        "0.2",
-        r"$T_{12} = T_{1b} \star T_{2b}^{-1}$",
-        xytext=(-44, -18),
-    )
+    at_left, found = {"ha": "right", "offset": (-8, 4)}, r"$T_{12} = T_{1b} \star T_{2b}^{-1}$"
+    _arrow(ax, (1.75, 1.95), (0.25, 0.25), "0.35", r"$T_{1b}$, from picture 1", **at_left)
+    _arrow(ax, (2.25, 1.95), (3.75, 0.25), "0.35", r"$T_{2b}$, from picture 2", offset=(8, 4))
+    _arrow(ax, (3.7, -0.05), (0.9, -0.05), "0.2", found, offset=(-44, -18))
     ax.set(xlim=(-1.6, 6), ylim=(-0.75, 3))
     return fig
 
@@ -223,13 +199,8 @@ def board_triangle() -> Figure:
 def line_of_sight() -> Figure:
     """Where an image of a thing appears on two spheres, and on one with a wrong pose."""
     fig, axes = _canvas(10, 3.9, 2)
-    camera, far, near, thing_deg, arc = (
-        np.array([1.0, 0.0]),
-        3.4,
-        2.1,
-        62,
-        np.radians(np.linspace(20, 110, 90)),
-    )
+    camera, arc = np.array([1.0, 0.0]), np.radians(np.linspace(20, 110, 90))
+    far, near, thing_deg = 3.4, 2.1, 62
     thing = far * np.array([np.cos(np.radians(thing_deg)), np.sin(np.radians(thing_deg))])
 
     def meets(turn_deg: float, radius: float) -> Point:
@@ -254,20 +225,11 @@ def line_of_sight() -> Figure:
         between = np.radians(np.linspace(thing_deg, end_deg, 30))
         ax.plot(1.45 * np.cos(between), 1.45 * np.sin(between), color=POINT, lw=2)
         middle = np.radians((thing_deg + end_deg) / 2)
-        ax.text(
-            1.2 * np.cos(middle),
-            1.2 * np.sin(middle),
-            name,
-            color=POINT,
-            fontsize=14,
-            ha="center",
-            va="center",
-        )
+        place = 1.2 * np.cos(middle), 1.2 * np.sin(middle)
+        ax.text(*place, name, color=POINT, fontsize=14, **CENTERED)
         _camera(ax, tuple(camera), "camera", FIRST)
         ax.plot(0, 0, "k+", ms=12)
-        ax.annotate(
-            "sweep centre", (0, 0), (0, -14), textcoords="offset points", ha="center", va="center"
-        )
+        _beside(ax, (0, 0), "sweep centre", (0, -14), **CENTERED)
         ax.set(xlim=(-1.9, 3.6), ylim=(-0.4, 3.8), title=title)
     return fig
 
@@ -284,14 +246,8 @@ def shift_along_parallax() -> Figure:
         ax.plot(*places[k], "s", ms=12, color=color)
         ax.plot(*met[k], "s", ms=12, mfc="none", mec=color, mew=1.6)
         _text(ax, places[k] + side, f"image {k + 1}", color=color, ha="center")
-        _text(
-            ax,
-            places[k] + 0.9 * steps[k] + side,
-            rf"$p_{k + 1}$",
-            color=color,
-            fontsize=12,
-            ha="center",
-        )
+        tip = places[k] + 0.9 * steps[k] + side
+        _text(ax, tip, rf"$p_{k + 1}$", color=color, fontsize=12, ha="center")
     _arrow(ax, tuple(places[1] + 0.03 * e), tuple(places[1] + 0.97 * e), "0.5")
     ax.text(0.75, 0.35, r"$e = e_1 - e_2$", color="0.4", ha="right")
     style = {"arrowstyle": "<->", "color": POINT, "lw": 1.6, "shrinkA": 7, "shrinkB": 7}
@@ -317,22 +273,15 @@ def window_problems() -> Figure:
         "an edge along the search:\nalike all the way",
         "an outline: the near side decides",
     )
-    for ax, places, title in zip(
-        axes, ((0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)), titles, strict=True
-    ):
+    windows = (0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)
+    for ax, places, title in zip(axes, windows, titles, strict=True):
         for k, x in enumerate(places):
             lw, ls = (2, "-") if k == 0 else (1, ":")
             ax.add_patch(Rectangle((x, 0.7), 1.4, 1.4, fill=False, edgecolor=POINT, lw=lw, ls=ls))
         ax.set_title(title, fontsize=10)
     axes[2].plot(3.5, 1.4, "+", color=POINT, ms=8)
-    axes[2].text(
-        4.0,
-        1.4,
-        "this ray, on the\nfar side, gets\nthe near depth",
-        fontsize=8,
-        color=POINT,
-        va="center",
-    )
+    wrong = "this ray, on the\nfar side, gets\nthe near depth"
+    axes[2].text(4.0, 1.4, wrong, fontsize=8, color=POINT, va="center")
     for ax in axes[:2]:
         _arrow(ax, (1.5, -0.4), (4.9, -0.4), "0.2")
         ax.text(3.2, -0.75, "search", ha="center", fontsize=9)
@@ -349,23 +298,15 @@ def volume_box() -> Figure:
 
     corners = [(0, 0), (w, 0), (w, n), (0, n)]
     for row, style in ((0, "-"), (h, ":")):
-        ax.add_patch(
-            Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style)
-        )
+        face = [at(*corner, row) for corner in corners]
+        ax.add_patch(Polygon(face, fill=False, edgecolor="0.4", ls=style))
     for corner in corners:
         _line(ax, at(*corner, 0), at(*corner, h), color="0.4", ls=":" if corner == (0, n) else "-")
     cut = [at(*corner, h / 2) for corner in corners]
     ax.add_patch(Polygon(cut, facecolor=FIRST, alpha=0.3))
     ray = np.array([at(3.8, sphere, h / 2) for sphere in (0, n)])
     ax.plot(*ray.T, color=POINT, lw=2.5)
-    ax.annotate(
-        "one ray: a cost curve",
-        ray.mean(0),
-        (8, -2),
-        textcoords="offset points",
-        color=POINT,
-        fontsize=9,
-    )
+    _beside(ax, ray.mean(0), "one ray: a cost curve", (8, -2), color=POINT, fontsize=9)
     _text(ax, at(0.15, 0.1, 0.9 * h / 2), "the cut", color=FIRST, fontsize=9)
     _text(ax, at(w / 2, 0, h + 0.35), "W columns, θ", ha="center")
     _text(ax, at(-0.15, 0, h / 2), "H rows, φ", ha="right", va="center")
@@ -396,11 +337,8 @@ def sgm_paths() -> Figure:
             part = (np.cos(around) > 0) == front
             y = np.where(part, -0.15 - depth + rise * (around - np.pi), np.nan)
             right.plot(np.where(part, x, np.nan), y, color=color, lw=2, ls="-" if front else ":")
-    right.set(
-        xlim=(-2.3, 2.3),
-        ylim=(-1.4, 1.4),
-        title="the panorama closes behind us: no path ends at the seam",
-    )
+    right.set(xlim=(-2.3, 2.3), ylim=(-1.4, 1.4))
+    right.set_title("the panorama closes behind us: no path ends at the seam")
     return fig
 
 
@@ -416,13 +354,8 @@ def slanted_window() -> Figure:
     middle, half = np.arcsin(1.6 / radii[4]), np.radians(5)
     patch = np.linspace(middle - half, middle + half, 20)
     ax.plot(radii[4] * np.cos(patch), -radii[4] * np.sin(patch), color=POINT, lw=4)
-    ax.text(
-        radii[4] + 0.15,
-        -1.05,
-        "the window, as the sweep sees it:\none sphere for all its rays",
-        color=POINT,
-        fontsize=9,
-    )
+    swept = "the window, as the sweep sees it:\none sphere for all its rays"
+    ax.text(radii[4] + 0.15, -1.05, swept, color=POINT, fontsize=9)
     for angle in (middle - half, middle + half):
         end = 1.6 / np.sin(angle)
         _line(ax, (0, 0), (end * np.cos(angle), -1.6), color=FIRST, lw=1, ls=":")
@@ -447,7 +380,7 @@ def patch_tower() -> Figure:
         what = f"{channels} channels" if channels > 1 else "grey values"
         ax.text(x + size / 2, -5.6, f"{size} × {size}\n{what}", ha="center", va="top", fontsize=9)
         if size > 1:
-            _arrow(ax, (x + size + 1.0, 0), (x + size + 3.0, 0), "0.3", "3 × 3", xytext=(-12, 5))
+            _arrow(ax, (x + size + 1.0, 0), (x + size + 3.0, 0), "0.3", "3 × 3", offset=(-12, 5))
         x += size + 3.6
     ax.set(xlim=(-1, x), ylim=(-8, 6))
     return fig
@@ -458,22 +391,18 @@ def sweepnet() -> Figure:
     fig, (ax,) = _canvas(10, 4.2)
     ax.set_aspect("auto")
     images, features = "image\n1 × H × W", "conv1 … conv18\n32 × H/2 × W/2"
-    boxes: list[tuple[float, float, str, str]] = [
-        (0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))
-    ]
-    boxes += [(1.7, y, features, color) for y, color in ((1, FIRST), (0, SECOND))]
+    columns = (0.0, images), (1.7, features)
+    boxes = [(x, y, text, c) for x, text in columns for y, c in ((1.0, FIRST), (0.0, SECOND))]
     boxes += [
         (3.4, 0.5, "stacked\n64 × H/2 × W/2", SPHERE),
         (5.1, 0.5, "conv19\n128 × H/2 × W/2", SPHERE),
-    ]
-    boxes += [
         (6.8, 0.5, "deconv1, conv20\n128 × H × W", SPHERE),
         (8.5, 0.5, "fc1 … fc5, sigmoid\n1 × H × W", SPHERE),
     ]
     boxes += [(x, -1.3, name, FIRST) for x, name in ((3.4, "conv2, ReLU"), (5.1, "conv3"))]
     for x, y, text, color in boxes:
         ax.add_patch(Rectangle((x - 0.72, y - 0.19), 1.44, 0.38, color=color, alpha=0.4, lw=0))
-        ax.text(x, y, text, ha="center", va="center", fontsize=8)
+        ax.text(x, y, text, **CENTERED, fontsize=8)
     for y in (1, 0):
         _arrow(ax, (0.72, y), (0.98, y), "0.3")
         _arrow(ax, (2.42, y), (2.68, 0.5 + 0.1 * (2 * y - 1)), "0.3")
@@ -486,13 +415,13 @@ def sweepnet() -> Figure:
     ax.plot([2.45, 2.45, 6.45], [-1.3, -0.85, -0.85], color=POINT)
     _arrow(ax, (6.45, -0.85), (6.45, -1.2), POINT)
     for x, text in ((1.4, "a block, such as"), (6.45, "+"), (7.35, "ReLU")):
-        ax.text(x, -1.3, text, ha="center", va="center")
+        ax.text(x, -1.3, text, **CENTERED)
     ax.text(4.25, -0.8, "the shortcut", color=POINT, ha="center")
     ax.set(xlim=(-0.8, 9.3), ylim=(-1.6, 1.5))
     return fig
 
 
-def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
+def bootstrap(values: np.ndarray, ends: np.ndarray) -> Figure:
     """The values of the frames, three resamples with means, and the means of ten thousand."""
     rng = np.random.default_rng(0)
     fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3.0), layout="constrained")
@@ -500,15 +429,12 @@ def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
     # so that equal values are two dots
     left.plot(values, np.where(ranks % 2, 0.15, -0.15), "o", color="0.2")
     left.text(values.max(), 0.3, "the frames", color="0.2", ha="right")
-    for row in range(1, draws + 1):
+    for row in (1, 2, 3):
         taken, counts = np.unique(rng.choice(values, len(values)), return_counts=True)
         left.scatter(taken, np.full(len(taken), -row), s=28 * counts, color="0.6")
         left.plot(np.repeat(taken, counts).mean(), -row, "|", ms=22, mew=2.5, color=POINT)
-    left.set(
-        yticks=[],
-        ylim=(-draws - 0.6, 0.8),
-        title="drawn with replacement: larger dots are drawn more often",
-    )
+    left.set(yticks=[], ylim=(-3.6, 0.8))
+    left.set_title("drawn with replacement: larger dots are drawn more often")
     right.hist(rng.choice(values, (10_000, len(values))).mean(axis=1), 60, color="0.7")
     for end in ends:
         right.axvline(end, color=POINT, ls="--")
@@ -534,9 +460,8 @@ def slabs() -> Figure:
         _arrow(ax, (0, 0), 6.1 * ray if inside else 3.9 * ray, "0.4")
         enters, leaves = ends[0].max(), ends[1].min()
         if inside:
-            _line(
-                ax, enters * ray, leaves * ray, color=POINT, lw=5, solid_capstyle="butt", zorder=3
-            )
+            style = {"color": POINT, "lw": 5, "solid_capstyle": "butt", "zorder": 3}
+            _line(ax, enters * ray, leaves * ray, **style)
         for axis, color in enumerate((FIRST, SECOND)):
             for end, face in zip(ends[:, axis], (color, "w"), strict=True):
                 ax.plot(*(end * ray), "o", mfc=face, mec=color, ms=8, mew=1.8, zorder=4)
@@ -576,29 +501,19 @@ def doubled_contour() -> Figure:
     arc = np.radians(np.linspace(30, 150, 60))
     ax.plot(radius * np.cos(arc), radius * np.sin(arc), color=POINT, lw=2)
     ax.text(1.45, 0.75, "the estimated depth, too near", color=POINT, fontsize=9)
-    for place, name, color, side in (
-        ((-0.7, 0.0), "camera 1", FIRST, -1),
-        ((0.7, 0.0), "camera 2", SECOND, 1),
-    ):
+    cameras = ((-0.7, 0.0), "camera 1", FIRST, -1), ((0.7, 0.0), "camera 2", SECOND, 1)
+    for place, name, color, side in cameras:
         along = (pole - place) / np.hypot(*(pole - place))
         b = np.dot(place, along)
         meets = place + along * (-b + np.sqrt(b**2 - np.dot(place, place) + radius**2))
         _line(ax, place, pole, color=color, lw=1.4)
         ax.plot(*meets, "s", color=color, ms=9, zorder=4)
         offset, align = ((24, 10), "left") if side > 0 else ((-24, 16), "right")
-        style: dict[str, Any] = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
-        ax.annotate(
-            f"here {name}\npaints the pole",
-            tuple(meets),
-            offset,
-            textcoords="offset points",
-            **style,
-        )
+        style = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
+        _beside(ax, meets, f"here {name}\npaints the pole", offset, **style)
         _camera(ax, place, name, color)
     ax.plot(*pole, "s", color="0.3", ms=11)
-    ax.annotate(
-        "the pole", tuple(pole), (14, 6), textcoords="offset points", va="center", color="0.3"
-    )
+    _beside(ax, pole, "the pole", (14, 6), va="center", color="0.3")
     ax.set(xlim=(-2.6, 3.6), ylim=(-0.5, 3.1))
     return fig
 
@@ -611,10 +526,8 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     between = ("4 × 768 × 800", f"4 × {spheres} × {height} × {width}", volume, volume)
     for k, name in enumerate(boxes):
         color = plt.cm.viridis(0.35 + 0.13 * k)
-        ax.add_patch(
-            Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none")
-        )
-        ax.text(3.2 * k + 1.0, 0.55, name, ha="center", va="center", fontsize=9)
+        ax.add_patch(Rectangle((3.2 * k, 0), 2.0, 1.1, color=color, alpha=0.45, lw=0))
+        ax.text(3.2 * k + 1.0, 0.55, name, **CENTERED, fontsize=9)
         if k:
             _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
             ax.text(3.2 * k - 0.6, 1.3, between[k - 1], ha="center", fontsize=8, color="0.3")
@@ -625,11 +538,10 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     return fig
 
 
-def unet(
-    size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (16, 32, 48, 64)
-) -> Figure:
+def unet() -> Figure:
     """VolumeNet's U-net as boxes, with channels and columns × rows × spheres."""
-    sides = [" × ".join(str(side // 2**level) for side in size) for level in range(len(widths))]
+    widths = (16, 32, 48, 64)
+    sides = [f"{160 // 2**k} × {40 // 2**k} × {32 // 2**k}" for k in range(len(widths))]
     last = len(widths) - 1
     levels = [0, *range(last + 1), *reversed(range(last)), 0]
     channels = [9, *widths, *reversed(widths[:-1]), 1]
@@ -639,20 +551,13 @@ def unet(
     for x, (level, count) in enumerate(zip(levels, channels, strict=True)):
         color = plt.cm.viridis(0.4 + 0.18 * level)
         ax.add_patch(Rectangle((x - 0.4, -level - 0.25), 0.8, 0.5, color=color, alpha=0.5))
-        ax.text(
-            x, -level, f"{count} channels\n{sides[level]}", ha="center", va="center", fontsize=7.5
-        )
+        ax.text(x, -level, f"{count} channels\n{sides[level]}", **CENTERED, fontsize=7.5)
     for x, (level, after) in enumerate(pairwise(levels)):
         start = (x + 0.4, -level) if after == level else (x, -level + np.sign(level - after) * 0.25)
         ax.annotate("", (x + 0.6, -after), start, arrowprops={"arrowstyle": "->"})
     for level in range(last):
-        style = {"arrowstyle": "->", "ls": ":", "color": "C3"}
-        ax.annotate(
-            "",
-            (len(levels) - 2.4 - level, -level - 0.1),
-            (level + 1.4, -level - 0.1),
-            arrowprops=style,
-        )
+        style, y = {"arrowstyle": "->", "ls": ":", "color": "C3"}, -level - 0.1
+        ax.annotate("", (len(levels) - 2.4 - level, y), (level + 1.4, y), arrowprops=style)
     return fig
 
 
@@ -671,18 +576,10 @@ def board_rays() -> Figure:
     side, last = origin + np.array([0.1, 0.25]), origin + 3.1 * along
     _arrow(ax, tuple(side), tuple(side + along), SECOND)
     _text(ax, side + 0.55 * along + 0.08, r"$\mathbf{r}_1$, of length 1", color=SECOND, fontsize=11)
-    _text(
-        ax, last + 0.1, r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3"
-    )
-    ax.text(
-        origin[0] - 0.1,
-        origin[1],
-        "the board's origin",
-        ha="right",
-        va="center",
-        color="0.3",
-        fontsize=9,
-    )
+    combined = r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$"
+    _text(ax, last + 0.1, combined, color="0.3")
+    style = {"ha": "right", "va": "center", "color": "0.3", "fontsize": 9}
+    _text(ax, origin - (0.1, 0), "the board's origin", **style)
     _camera(ax, (0, 0), "camera", "0.2")
     ax.set(xlim=(-2.6, 4.4), ylim=(-0.35, 2.6))
     return fig
