@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 
 PALETTES = {
     "brick": [
@@ -97,10 +97,8 @@ def random_style(rng: np.random.Generator) -> Style:
     """Draw a style: mostly four to six floors of brick, plaster or stone, some towers."""
     tall = rng.random() < 0.22
     floors = int(rng.integers(7, 14)) if tall else int(rng.integers(2, 7))
-    old, new = (
-        ["brick", "plaster", "stone", "plaster", "brick"],
-        ["concrete", "curtain_wall", "tiles", "cladding"],
-    )
+    old = ["brick", "plaster", "stone", "plaster", "brick"]
+    new = ["concrete", "curtain_wall", "tiles", "cladding"]
     wall = str(rng.choice(new if tall or rng.random() < 0.25 else old))
     bay = rng.uniform(2.2, 3.6)
     floor_height = rng.uniform(2.9, 3.7)
@@ -123,11 +121,8 @@ def random_style(rng: np.random.Generator) -> Style:
 
 def party_wall(style: Style) -> str:
     """Return the material of a wall without windows."""
-    return (
-        "concrete"
-        if style.wall in ("curtain_wall", "cladding", "tiles", "concrete")
-        else style.wall
-    )
+    thin = style.wall in ("curtain_wall", "cladding", "tiles")
+    return "concrete" if thin else style.wall
 
 
 def facade(
@@ -172,17 +167,9 @@ def _windows(
 
 
 def _wall(mesh: Mesh, s0: NDArray, s1: NDArray, z0: float, z1: float, material: str) -> None:
-    s0, s1, z0, z1, zero = np.broadcast_arrays(s0, s1, z0, z1, 0.0)
-    mesh.add(
-        np.stack(
-            [
-                np.stack(c, -1)
-                for c in ((s0, zero, z0), (s1, zero, z0), (s1, zero, z1), (s0, zero, z1))
-            ],
-            1,
-        ),
-        material,
-    )
+    s0, s1, z0, z1 = np.broadcast_arrays(s0, s1, z0, z1)
+    corners = (s0, z0), (s1, z0), (s1, z1), (s0, z1)
+    mesh.add(np.stack([points(s, 0, z) for s, z in corners], 1), material)
 
 
 def openings(
@@ -196,12 +183,12 @@ def openings(
     rng: np.random.Generator,
 ) -> None:
     """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill."""
-    n, d = len(s0), np.full(len(s0), -recess)
-    corner = {c: np.stack([(s0, s1)[c & 1], d, (z0, z1)[c >> 1]], -1) for c in range(4)}
+    corner = {c: points((s0, s1)[c & 1], -recess, (z0, z1)[c >> 1]) for c in range(4)}
     outer = {c: p * (1, 0, 1) for c, p in corner.items()}
     for a, b in ((0, 1), (1, 3), (3, 2), (2, 0)):
         mesh.add(np.stack([outer[a], outer[b], corner[b], corner[a]], 1), wall)
-    mesh.add(np.stack([corner[0], corner[1], corner[3], corner[2]], 1), "window", rng.random(n))
+    panes = np.stack([corner[0], corner[1], corner[3], corner[2]], 1)
+    mesh.add(panes, "window", rng.random(len(s0)))
     bar, y0, y1 = 0.06, -recess, -recess + 0.045
     middle, cross = (s0 + s1) / 2, z0 + (z1 - z0) * 0.68
     bars = [
@@ -213,13 +200,8 @@ def openings(
         (s0, s1, cross, cross + bar),
     ]
     for left, right, bottom, top in bars:
-        mesh.box(
-            np.stack([left, np.full(n, y0), bottom], -1),
-            np.stack([right, np.full(n, y1), top], -1),
-            "trim",
-        )
-    out = np.full(n, 0.07)
-    mesh.box(np.stack([s0 - 0.08, d, z0 - 0.07], -1), np.stack([s1 + 0.08, out, z0], -1), "trim")
+        mesh.box((left, y0, bottom), (right, y1, top), "trim")
+    mesh.box((s0 - 0.08, y0, z0 - 0.07), (s1 + 0.08, 0.07, z0), "trim")
 
 
 def _balconies(
@@ -237,71 +219,46 @@ def _balconies(
             mesh.box((s - wide, 0.0, z), (s + wide, deep, z + 0.14), "trim")
             if style.balconies == "solid":
                 mesh.box((s - wide, deep - 0.07, z + 0.14), (s + wide, deep, z + 1.0), style.wall)
-                mesh.box(
-                    [(s - wide, 0.0, z + 0.14), (s + wide - 0.07, 0.0, z + 0.14)],
-                    [(s - wide + 0.07, deep - 0.07, z + 1.0), (s + wide, deep - 0.07, z + 1.0)],
-                    style.wall,
-                )
+                sides = np.array([s - wide, s + wide - 0.07])
+                low, high = (sides, 0.0, z + 0.14), (sides + 0.07, deep - 0.07, z + 1.0)
+                mesh.box(low, high, style.wall)
             else:
                 _railing(mesh, s - wide, s + wide, deep, z + 0.14)
             if rng.random() < 0.4:
-                mesh.box(
-                    (s - wide + 0.1, deep, z + 0.55),
-                    (s + wide - 0.1, deep + 0.2, z + 0.75),
-                    "roof_tiles",
-                )
-                _flowers(mesh, s - wide + 0.1, s + wide - 0.1, deep + 0.1, z + 0.75, rng)
+                s0, s1 = s - wide + 0.1, s + wide - 0.1
+                mesh.box((s0, deep, z + 0.55), (s1, deep + 0.2, z + 0.75), "roof_tiles")
+                _flowers(mesh, s0, s1, deep + 0.1, z + 0.75, rng)
 
 
 def _railing(mesh: Mesh, s0: float, s1: float, deep: float, z: float) -> None:
     s = np.arange(s0, s1, 0.12)
-    mesh.box(
-        np.column_stack([s, np.full_like(s, deep - 0.03), np.full_like(s, z)]),
-        np.column_stack([s + 0.018, np.full_like(s, deep - 0.012), np.full_like(s, z + 0.9)]),
-        "dark_trim",
-    )
-    mesh.box(
-        [(s0, deep - 0.05, z + 0.88), (s0, 0.0, z + 0.88), (s1 - 0.04, 0.0, z + 0.88)],
-        [(s1, deep, z + 0.93), (s0 + 0.04, deep, z + 0.93), (s1, deep, z + 0.93)],
-        "dark_trim",
-    )
+    mesh.box((s, deep - 0.03, z), (s + 0.018, deep - 0.012, z + 0.9), "dark_trim")
+    rails = ((s0, s0, s1 - 0.04), (deep - 0.05, 0.0, 0.0)), ((s1, s0 + 0.04, s1), deep)
+    mesh.box((*rails[0], z + 0.88), (*rails[1], z + 0.93), "dark_trim")
 
 
 def _flowers(
     mesh: Mesh, s0: float, s1: float, deep: float, z: float, rng: np.random.Generator
 ) -> None:
     n = int(40 * (s1 - s0))
-    center = np.column_stack(
-        [rng.uniform(s0, s1, n), rng.normal(deep, 0.06, n), z + rng.uniform(0, 0.22, n)]
-    )
+    center = points(rng.uniform(s0, s1, n), rng.normal(deep, 0.06, n), z + rng.uniform(0, 0.22, n))
     mesh.add(center[:, None] + rng.normal(0, 0.05, (n, 4, 3)), "leaf", rng.random(n))
 
 
 def _ornaments(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
     """Add a cornice, string courses, a drain pipe, a few air conditioners."""
     top = style.height
-    mesh.box(
-        [(0, 0, top - 0.5), (0, 0, top - 0.22)],
-        [(length, 0.12, top - 0.22), (length, 0.3, top)],
-        "trim",
-    )
+    mesh.box((0, 0, top - 0.5), (length, 0.12, top - 0.22), "trim")
+    mesh.box((0, 0, top - 0.22), (length, 0.3, top), "trim")
     if rng.random() < 0.5:
-        z = (
-            style.ground_height
-            + np.arange(0, style.floors - 1, int(rng.integers(1, 3))) * style.floor_height
-        )
-        mesh.box(
-            np.column_stack([0 * z, 0 * z, z - 0.12]),
-            np.column_stack([0 * z + length, 0 * z + 0.09, z + 0.06]),
-            "trim",
-        )
+        floors = np.arange(0, style.floors - 1, int(rng.integers(1, 3)))
+        z = style.ground_height + floors * style.floor_height
+        mesh.box((0, 0, z - 0.12), (length, 0.09, z + 0.06), "trim")
     for s in (0.25, length - 0.25)[: int(rng.integers(1, 3))]:
         mesh.tube([(s, 0.09, 0.0), (s, 0.09, top - 0.5)], 0.055, "metal", 6)
     for _ in range(int(rng.integers(0, 4))):
-        s, z = (
-            rng.choice(_columns(length, style.bay)),
-            style.ground_height + rng.integers(0, style.floors) * style.floor_height,
-        )
+        s = rng.choice(_columns(length, style.bay))
+        z = style.ground_height + rng.integers(0, style.floors) * style.floor_height
         if z + 0.3 < top - 0.7 and style.sill > 0.8:
             mesh.box((s - 0.4, 0.02, z + 0.02), (s + 0.4, 0.38, z + 0.55), "metal")
 
@@ -315,21 +272,11 @@ def _glass_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generat
         panel = bottom + 0.8
         for low, high in ((bottom, panel), (panel, top)):
             corners = [(s[:-1], low), (s[1:], low), (s[1:], high), (s[:-1], high)]
-            quads = np.stack(
-                [np.stack([a, np.zeros(count), np.full(count, b)], -1) for a, b in corners], 1
-            )
+            quads = np.stack([points(a, 0, b) for a, b in corners], 1)
             mesh.add(quads, "curtain_wall" if low == bottom else "window", rng.random(count))
-    mesh.box(
-        np.column_stack([s - 0.035, 0 * s, 0 * s]),
-        np.column_stack([s + 0.035, 0 * s + 0.13, 0 * s + z[-1]]),
-        "dark_trim",
-    )
+    mesh.box((s - 0.035, 0, 0), (s + 0.035, 0.13, z[-1]), "dark_trim")
     rows = np.concatenate([z, z[:-1] + 0.8])
-    mesh.box(
-        np.column_stack([0 * rows, 0 * rows, rows - 0.04]),
-        np.column_stack([0 * rows + length, 0 * rows + 0.08, rows + 0.04]),
-        "metal",
-    )
+    mesh.box((0, 0, rows - 0.04), (length, 0.08, rows + 0.04), "metal")
 
 
 def _shop_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
@@ -339,39 +286,19 @@ def _shop_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generato
     height, board = style.ground_height, style.ground_height - 0.75
     wall = party_wall(style)
     _wall(mesh, np.array([0.0]), np.array([length]), board, height, wall)
-    mesh.box(
-        np.column_stack([edges - 0.25, 0 * edges - 0.3, 0 * edges]).clip([0, -1, 0]),
-        np.column_stack([edges + 0.25, 0 * edges + 0.06, 0 * edges + board]).clip(
-            max=[length, 9, 99]
-        ),
-        wall,
-    )
+    left, right = (edges - 0.25).clip(0), (edges + 0.25).clip(max=length)
+    mesh.box((left, -0.3, 0), (right, 0.06, board), wall)
     for s0, s1 in zip(edges[:-1] + 0.25, edges[1:] - 0.25, strict=True):
         door = s0 + 0.1 if rng.random() < 0.5 else s1 - 1.2
         mesh.box((s0, -0.3, 0.0), (s1, -0.05, 0.45), wall)
-        mesh.add(
-            [(s0, -0.2, 0), (s1, -0.2, 0), (s1, -0.2, board), (s0, -0.2, board)],
-            "shop_window",
-            rng.random(),
-        )
+        pane = points((s0, s1, s1, s0), -0.2, (0, 0, board, board))
+        mesh.add(pane, "shop_window", rng.random())
         mesh.box((s0, -0.3, board - 0.02), (s1, 0.0, board), wall)
         mesh.box((door, -0.22, 0.0), (door + 1.1, -0.02, 2.3), "tinted")
-        mesh.add(
-            [
-                (door + 0.15, -0.015, 0.5),
-                (door + 0.95, -0.015, 0.5),
-                (door + 0.95, -0.015, 2.1),
-                (door + 0.15, -0.015, 2.1),
-            ],
-            "window",
-            0.2,
-        )
+        across = door + np.array([0.15, 0.95, 0.95, 0.15])
+        mesh.add(points(across, -0.015, (0.5, 0.5, 2.1, 2.1)), "window", 0.2)
         bars = np.arange(s0, s1 + 0.01, max(1.2, (s1 - s0) / 4))
-        mesh.box(
-            np.column_stack([bars - 0.03, 0 * bars - 0.22, 0 * bars + 0.45]),
-            np.column_stack([bars + 0.03, 0 * bars - 0.12, 0 * bars + board]),
-            "dark_trim",
-        )
+        mesh.box((bars - 0.03, -0.22, 0.45), (bars + 0.03, -0.12, board), "dark_trim")
         _sign_board(mesh, s0, s1, board, height - 0.1, rng)
         if rng.random() < 0.4:
             _awning(mesh, s0, s1, board, rng)
@@ -385,15 +312,8 @@ def _sign_board(
     triangles, width = letters(str(rng.choice(_WORDS)))
     size = min((z1 - z0) * 0.62, (s1 - s0 - 0.5) / width)
     middle, y = (s0 + s1) / 2 - width * size / 2, 0.135
-    text = np.stack(
-        [
-            middle + triangles[..., 0] * size,
-            np.full(triangles.shape[:2], y),
-            (z0 + z1) / 2 - 0.33 * size + triangles[..., 1] * size,
-        ],
-        -1,
-    )
-    mesh.add(text, "white")
+    x, z = middle + triangles[..., 0] * size, triangles[..., 1] * size
+    mesh.add(points(x, y, (z0 + z1) / 2 - 0.33 * size + z), "white")
 
 
 def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: np.random.Generator) -> None:
@@ -401,16 +321,9 @@ def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: np.random.Generator
     edges = np.arange(s0, s1, 0.3)
     for k, (a, b) in enumerate(itertools.pairwise(edges)):
         material = "white" if k % 2 else "tinted"
-        mesh.add([(a, 0.14, z), (b, 0.14, z), (b, deep, z - drop), (a, deep, z - drop)], material)
-        mesh.add(
-            [
-                (a, deep, z - drop),
-                (b, deep, z - drop),
-                (b, deep, z - drop - 0.2),
-                (a, deep, z - drop - 0.2),
-            ],
-            material,
-        )
+        edge, hem, across = z - drop, z - drop - 0.2, (a, b, b, a)
+        mesh.add(points(across, (0.14, 0.14, deep, deep), (z, z, edge, edge)), material)
+        mesh.add(points(across, deep, (edge, edge, hem, hem)), material)
 
 
 def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
@@ -420,35 +333,18 @@ def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: np.random.Gene
     door = int(rng.integers(len(centers)))
     wall, height = party_wall(style), style.ground_height
     low, high = 1.1, 1.1 + min(style.window_height, height - 1.5)
-    _wall(
-        mesh,
-        np.concatenate([[0], centers + half]),
-        np.concatenate([centers - half, [length]]),
-        0.0,
-        height,
-        wall,
-    )
+    left, right = np.concatenate([[0], centers + half]), np.concatenate([centers - half, [length]])
+    _wall(mesh, left, right, 0.0, height, wall)
     keep = np.arange(len(centers)) != door
     s = centers[keep]
     _wall(mesh, s - half, s + half, 0.0, low, wall)
     _wall(mesh, centers - half, centers + half, high, height, wall)
-    openings(
-        mesh,
-        s - half,
-        s + half,
-        np.full(len(s), low),
-        np.full(len(s), high),
-        style.recess,
-        wall,
-        rng,
-    )
+    bottom, top = np.full(len(s), low), np.full(len(s), high)
+    openings(mesh, s - half, s + half, bottom, top, style.recess, wall, rng)
     c = centers[door]
     mesh.box((c - half, -0.12, 0.0), (c + half, 0.01, high), "wood")
-    mesh.box(
-        [(c - half, 0, 0.0), (c - half - 0.2, 0, 0)],
-        [(c + half, 0.32, 0.15), (c + half + 0.2, 0.62, 0.08)],
-        "kerbstone",
-    )
+    mesh.box((c - half, 0, 0), (c + half, 0.32, 0.15), "kerbstone")
+    mesh.box((c - half - 0.2, 0, 0), (c + half + 0.2, 0.62, 0.08), "kerbstone")
     mesh.box((0, 0, 0), (c - half, 0.05, 0.45), "stone")
     mesh.box((c + half, 0, 0), (length, 0.05, 0.45), "stone")
 

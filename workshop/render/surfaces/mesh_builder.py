@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,11 @@ _BOX_FACES = np.array(
     [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 )
 _CORNERS = np.array([[(c >> axis) & 1 for axis in range(3)] for c in range(8)], float)
+
+
+def points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> NDArray[np.float64]:
+    """Return the points (..., 3) of coordinates, each a number or an array."""
+    return np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float)
 
 
 class Mesh:
@@ -51,10 +55,9 @@ class Mesh:
             self._faces.append((corners @ self._axes + self._origin, material, values))
 
     def box(self, low: ArrayLike, high: ArrayLike, material: str, value: ArrayLike = 0.5) -> None:
-        """Add boxes between opposite corners `low` and `high`, shapes (3,) or (boxes, 3)."""
-        low, high = np.broadcast_arrays(
-            np.atleast_2d(np.asarray(low, float)), np.atleast_2d(np.asarray(high, float))
-        )
+        """Add boxes between opposite corners: (x, y, z) of numbers or arrays, or (boxes, 3)."""
+        ends = (points(*end) if isinstance(end, tuple) else end for end in (low, high))
+        low, high = np.broadcast_arrays(*(np.atleast_2d(np.asarray(end, float)) for end in ends))
         corners = low[:, None] + _CORNERS * (high - low)[:, None]
         values = np.repeat(np.broadcast_to(np.asarray(value, float), len(low)), len(_BOX_FACES))
         self.add(corners[:, _BOX_FACES].reshape(-1, 4, 3), material, values)
@@ -90,12 +93,8 @@ class Mesh:
         """Add an ellipsoid with its axes along the frame's."""
         latitude = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)[:, None]
         angle = np.linspace(0, 2 * np.pi, 2 * rings + 1)
-        unit = np.stack(
-            np.broadcast_arrays(
-                np.cos(latitude) * np.cos(angle), np.cos(latitude) * np.sin(angle), np.sin(latitude)
-            ),
-            axis=-1,
-        )
+        girth = np.cos(latitude)
+        unit = points(girth * np.cos(angle), girth * np.sin(angle), np.sin(latitude))
         self.sheet(np.asarray(center) + unit * np.asarray(radii), material, value)
 
     def prism(self, outline: ArrayLike, bottom: float, top: float, side: str, cover: str) -> None:
@@ -118,7 +117,9 @@ class Mesh:
         import bpy
 
         mesh = bpy.data.meshes.new(name)
-        vertices, sizes = _flatten(self._faces)
+        faces = [corners for corners, _, _ in self._faces]
+        vertices = np.concatenate([corners.reshape(-1, 3) for corners in faces])
+        sizes = np.concatenate([np.full(len(c), c.shape[1]) for c in faces])
         mesh.vertices.add(len(vertices))
         mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
         mesh.loops.add(len(vertices))
@@ -127,9 +128,8 @@ class Mesh:
         mesh.polygons.foreach_set("loop_start", (np.cumsum(sizes) - sizes).astype(np.int32))
         mesh.polygons.foreach_set("material_index", self._fill_slots(mesh, materials))
         values = np.concatenate([values for _, _, values in self._faces])
-        mesh.attributes.new("value", "FLOAT", "FACE").data.foreach_set(
-            "value", values.astype(np.float32)
-        )
+        attribute = mesh.attributes.new("value", "FLOAT", "FACE")
+        attribute.data.foreach_set("value", values.astype(np.float32))
         mesh.update(calc_edges=True)
         if smooth:
             _join_and_smooth(mesh)
@@ -139,17 +139,8 @@ class Mesh:
         names = sorted({material for _, material, _ in self._faces})
         for name in names:
             mesh.materials.append(materials[name])
-        return np.concatenate(
-            [np.full(len(c), names.index(m), np.int32) for c, m, _ in self._faces]
-        )
-
-
-def _flatten(
-    faces: Sequence[tuple[NDArray, str, NDArray]],
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    vertices = np.concatenate([corners.reshape(-1, 3) for corners, _, _ in faces])
-    sizes = np.concatenate([np.full(len(corners), corners.shape[1]) for corners, _, _ in faces])
-    return vertices, sizes
+        slots = [np.full(len(c), names.index(m), np.int32) for c, m, _ in self._faces]
+        return np.concatenate(slots)
 
 
 def _join_and_smooth(mesh: Any) -> None:
