@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from workshop.render.city.layout import (
     CORNER_RADIUS,
@@ -13,7 +13,7 @@ from workshop.render.city.layout import (
     Block,
     District,
 )
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 
 _PAINT = 0.004  # height of road markings above the asphalt
 
@@ -23,27 +23,19 @@ def ground(district: District) -> Mesh:
     mesh, e = Mesh(), district.extent.inset(-900)
     mesh.add([(e.x0, e.y0, 0), (e.x1, e.y0, 0), (e.x1, e.y1, 0), (e.x0, e.y1, 0)], "asphalt")
     rng = np.random.default_rng([district.seed, 2])
-    for along_x, lines, crossings in (
-        (True, district.ys, district.xs),
-        (False, district.xs, district.ys),
-    ):
-        for line in lines:
-            mesh.place((0, line, 0)) if along_x else mesh.place((line, 0, 0), (0, 1, 0), (-1, 0, 0))
-            _markings(mesh, np.sort(crossings), rng)
+    for line in district.ys:
+        mesh.place((0, line, 0))
+        _markings(mesh, np.sort(district.xs), rng)
+    for line in district.xs:
+        mesh.place((line, 0, 0), (0, 1, 0), (-1, 0, 0))
+        _markings(mesh, np.sort(district.ys), rng)
     return mesh
 
 
-def _stripes(
-    mesh: Mesh, x0: NDArray, x1: NDArray, y0: NDArray, y1: NDArray, material: str = "paint_white"
-) -> None:
-    x0, x1, y0, y1 = np.broadcast_arrays(*(np.asarray(v, float) for v in (x0, x1, y0, y1)))
-    z = np.full(x0.shape, _PAINT)
-    mesh.add(
-        np.stack(
-            [np.stack(c, -1) for c in ((x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z))], axis=-2
-        ),
-        material,
-    )
+def _stripes(mesh: Mesh, x0: ArrayLike, x1: ArrayLike, y0: ArrayLike, y1: ArrayLike) -> None:
+    x0, x1, y0, y1 = np.broadcast_arrays(x0, x1, y0, y1)
+    corners = (x0, y0), (x1, y0), (x1, y1), (x0, y1)
+    mesh.add(np.stack([points(x, y, _PAINT) for x, y in corners], axis=-2), "paint_white")
 
 
 def _markings(mesh: Mesh, crossings: NDArray, rng: np.random.Generator) -> None:
@@ -55,10 +47,8 @@ def _markings(mesh: Mesh, crossings: NDArray, rng: np.random.Generator) -> None:
         _stripes(mesh, dashes, dashes + 2.4, -0.07, 0.07)
         bays = np.arange(a + 5.5, b - 5.0, 5.8)
         for side in (-1, 1):
-            edge = side * (HALF_STREET - 2.15)
-            _stripes(
-                mesh, bays, bays + 0.1, min(edge, side * HALF_STREET), max(edge, side * HALF_STREET)
-            )
+            edge, kerb = side * (HALF_STREET - 2.15), side * HALF_STREET
+            _stripes(mesh, bays, bays + 0.1, min(edge, kerb), max(edge, kerb))
             _stripes(mesh, [a + 5.5], [b - 5.0], edge - 0.05, edge + 0.05)
         for stop, sign in ((b - 3.4, -1), (a + 3.4, 1)):  # stop line on the right-hand lane
             _stripes(mesh, [stop - 0.2], [stop + 0.2], *((-3.4, -0.1) if sign < 0 else (0.1, 3.4)))
@@ -72,20 +62,15 @@ def _markings(mesh: Mesh, crossings: NDArray, rng: np.random.Generator) -> None:
 
 def _arrow(mesh: Mesh, x: float, y: float, sign: int) -> None:
     _stripes(mesh, [min(x, x + sign * 1.8)], [max(x, x + sign * 1.8)], y - 0.08, y + 0.08)
-    tip = x + sign * 2.9
-    mesh.add(
-        [(x + sign * 1.8, y - 0.35, _PAINT), (x + sign * 1.8, y + 0.35, _PAINT), (tip, y, _PAINT)],
-        "paint_white",
-    )
+    neck, tip = x + sign * 1.8, x + sign * 2.9
+    mesh.add(points((neck, neck, tip), (y - 0.35, y + 0.35, y), _PAINT), "paint_white")
 
 
 def _lids(mesh: Mesh, xs: NDArray, rng: np.random.Generator) -> None:
     angle = np.linspace(0, 2 * np.pi, 25)[:-1]
     for x in xs:
         y = rng.uniform(-3, 3)
-        disc = np.column_stack(
-            [x + 0.33 * np.cos(angle), y + 0.33 * np.sin(angle), np.full(24, _PAINT / 2)]
-        )
+        disc = points(x + 0.33 * np.cos(angle), y + 0.33 * np.sin(angle), _PAINT / 2)
         mesh.add(disc, "iron_lid")
 
 
@@ -94,29 +79,20 @@ def pavement(block: Block, rng: np.random.Generator) -> Mesh:
     mesh = Mesh()
     surface = "cobbles" if rng.random() < 0.2 else "slabs"
     mesh.prism(block.kerb.rounded(CORNER_RADIUS), -0.05, KERB_HEIGHT, "kerbstone", "kerbstone")
-    mesh.prism(
-        block.kerb.inset(0.3).rounded(CORNER_RADIUS - 0.3),
-        0.0,
-        KERB_HEIGHT + 0.003,
-        surface,
-        surface,
-    )
+    walked = block.kerb.inset(0.3).rounded(CORNER_RADIUS - 0.3)
+    mesh.prism(walked, 0.0, KERB_HEIGHT + 0.003, surface, surface)
     return mesh
 
 
 # What stands on the pavement. Each is one mesh, used many times; +x points to the carriageway.
 
 
-def lamp_post(height: float = 7.5) -> Mesh:
+def lamp_post() -> Mesh:
     """Return a street lamp whose arm reaches over the carriageway."""
-    mesh = Mesh()
+    mesh, height = Mesh(), 7.5
     mesh.tube([(0, 0, 0), (0, 0, 1.1)], 0.1, "green_paint", 12)
-    mesh.tube(
-        [(0, 0, 1.1), (0, 0, height - 0.6), (0.35, 0, height - 0.08), (1.7, 0, height)],
-        [0.065, 0.05, 0.04, 0.035],
-        "green_paint",
-        10,
-    )
+    arm = [(0, 0, 1.1), (0, 0, height - 0.6), (0.35, 0, height - 0.08), (1.7, 0, height)]
+    mesh.tube(arm, [0.065, 0.05, 0.04, 0.035], "green_paint", 10)
     mesh.box((1.4, -0.14, height - 0.06), (2.1, 0.14, height + 0.06), "metal")
     mesh.box((1.5, -0.1, height - 0.09), (2.0, 0.1, height - 0.06), "lamp_off")
     mesh.box((-0.02, 0.06, 2.4), (0.02, 0.36, 3.1), "poster")
@@ -142,16 +118,10 @@ def sign(kind: int) -> Mesh:
     mesh, angle = Mesh(), np.linspace(0, 2 * np.pi, 25)[:-1]
     mesh.tube([(0, 0, 0), (0, 0, 2.9)], 0.03, "metal", 8)
     if kind == 3:
-        mesh.box(
-            [(-0.02, -0.5, 2.6), (-0.5, -0.02, 2.85)],
-            [(0.02, 0.5, 2.82), (0.5, 0.02, 3.05)],
-            "sign_blue",
-        )
-        mesh.box(
-            [(-0.03, -0.4, 2.67), (-0.4, -0.03, 2.92)],
-            [(0.03, 0.4, 2.75), (0.4, 0.03, 2.98)],
-            "white",
-        )
+        mesh.box((-0.02, -0.5, 2.6), (0.02, 0.5, 2.82), "sign_blue")
+        mesh.box((-0.5, -0.02, 2.85), (0.5, 0.02, 3.05), "sign_blue")
+        mesh.box((-0.03, -0.4, 2.67), (0.03, 0.4, 2.75), "white")
+        mesh.box((-0.4, -0.03, 2.92), (0.4, 0.03, 2.98), "white")
         return mesh
     corners = {0: angle, 1: np.radians([90, 210, 330]), 2: np.radians([45, 135, 225, 315])}[kind]
     for y, size, material in (
@@ -159,12 +129,7 @@ def sign(kind: int) -> Mesh:
         (0.045, 0.34, ("sign_red", "sign_red", "sign_blue")[kind]),
         (0.05, 0.24, ("white", "sign_yellow", "white")[kind]),
     ):
-        mesh.add(
-            np.column_stack(
-                [size * np.cos(corners), 0 * corners + y, 2.6 + size * np.sin(corners)]
-            ),
-            material,
-        )
+        mesh.add(points(size * np.cos(corners), y, 2.6 + size * np.sin(corners)), material)
     mesh.box((-0.03, 0.051, 2.52), (0.03, 0.055, 2.7), "dark_trim")
     return mesh
 
@@ -173,27 +138,13 @@ def bench() -> Mesh:
     """Return a park bench along y."""
     mesh = Mesh()
     x = np.arange(4) * 0.12 - 0.22
-    mesh.box(
-        np.column_stack([x, 0 * x - 0.8, 0 * x + 0.44]),
-        np.column_stack([x + 0.1, 0 * x + 0.8, 0 * x + 0.48]),
-        "wood",
-    )
-    mesh.box(
-        [(-0.3, -0.8, 0.55 + 0.14 * k) for k in range(3)],
-        [(-0.26, 0.8, 0.65 + 0.14 * k) for k in range(3)],
-        "wood",
-    )
+    mesh.box((x, -0.8, 0.44), (x + 0.1, 0.8, 0.48), "wood")
+    z = 0.55 + 0.14 * np.arange(3)
+    mesh.box((-0.3, -0.8, z), (-0.26, 0.8, z + 0.1), "wood")
     for y in (-0.65, 0.6):
-        mesh.box(
-            [(-0.25, y, 0), (0.15, y, 0), (-0.27, y, 0.4), (-0.29, y, 0.4)],
-            [
-                (-0.2, y + 0.05, 0.44),
-                (0.2, y + 0.05, 0.44),
-                (0.2, y + 0.05, 0.44),
-                (-0.24, y + 0.05, 0.98),
-            ],
-            "dark_trim",
-        )
+        low = (np.array([-0.25, 0.15, -0.27, -0.29]), y, np.array([0, 0, 0.4, 0.4]))
+        high = (np.array([-0.2, 0.2, 0.2, -0.24]), y + 0.05, np.array([0.44, 0.44, 0.44, 0.98]))
+        mesh.box(low, high, "dark_trim")
     return mesh
 
 
@@ -202,21 +153,16 @@ def bin_() -> Mesh:
     mesh = Mesh()
     mesh.tube([(0, 0, 0.08), (0, 0, 0.85)], [0.24, 0.27], "green_paint", 14)
     mesh.tube([(0, 0, 0.98), (0, 0, 1.06)], [0.3, 0.12], "dark_trim", 14)
-    mesh.box(
-        [(-0.26, -0.02, 0), (0.22, -0.02, 0)], [(-0.22, 0.02, 1.0), (0.26, 0.02, 1.0)], "metal"
-    )
+    posts = np.array([-0.26, 0.22])
+    mesh.box((posts, -0.02, 0), (posts + 0.04, 0.02, 1.0), "metal")
     return mesh
 
 
 def hydrant() -> Mesh:
     """Return a fire hydrant."""
     mesh = Mesh()
-    mesh.tube(
-        [(0, 0, 0), (0, 0, 0.06), (0, 0, 0.55), (0, 0, 0.72)],
-        [0.17, 0.11, 0.1, 0.03],
-        "sign_yellow",
-        12,
-    )
+    body = points(0, 0, (0, 0.06, 0.55, 0.72))
+    mesh.tube(body, [0.17, 0.11, 0.1, 0.03], "sign_yellow", 12)
     mesh.tube([(0, -0.18, 0.45), (0, 0.18, 0.45)], 0.05, "sign_red", 8)
     mesh.tube([(0.0, 0, 0.4), (0.17, 0, 0.4)], 0.06, "sign_red", 8)
     return mesh
@@ -235,13 +181,11 @@ def bicycle() -> Mesh:
     """Return a bicycle along y against a hoop."""
     mesh, angle = Mesh(), np.linspace(0, 2 * np.pi, 25)
     for y in (-0.52, 0.52):
-        circle = np.column_stack([0 * angle, y + 0.34 * np.cos(angle), 0.34 + 0.34 * np.sin(angle)])
+        circle = points(0, y + 0.34 * np.cos(angle), 0.34 + 0.34 * np.sin(angle))
         mesh.tube(circle, 0.018, "rubber", 6)
-        spokes = angle[:-1:3]
-        for a in spokes:
-            mesh.tube(
-                [(0, y, 0.34), (0, y + 0.33 * np.cos(a), 0.34 + 0.33 * np.sin(a))], 0.004, "rim", 3
-            )
+        for a in angle[:-1:3]:
+            end = (0, y + 0.33 * np.cos(a), 0.34 + 0.33 * np.sin(a))
+            mesh.tube([(0, y, 0.34), end], 0.004, "rim", 3)
     for a, b in (
         ((-0.52, 0.34), (-0.05, 0.33)),
         ((-0.05, 0.33), (0.4, 0.75)),
@@ -253,12 +197,8 @@ def bicycle() -> Mesh:
         mesh.tube([(0, *a), (0, *b)], 0.016, "tinted", 7)
     mesh.tube([(-0.27, 0.36, 0.95), (0.27, 0.36, 0.95)], 0.013, "dark_trim", 6)
     mesh.ball((0, -0.22, 0.84), (0.07, 0.13, 0.035), "rubber", 5)
-    mesh.tube(
-        [(0.12, -0.35, 0), (0.12, -0.35, 0.8), (0.12, 0.35, 0.8), (0.12, 0.35, 0)],
-        0.022,
-        "metal",
-        8,
-    )
+    hoop = points(0.12, (-0.35, -0.35, 0.35, 0.35), (0, 0.8, 0.8, 0))
+    mesh.tube(hoop, 0.022, "metal", 8)
     return mesh
 
 
@@ -315,9 +255,8 @@ def bus_shelter() -> Mesh:
     mesh.box((-0.73, -1.8, 0.25), (-0.71, 1.8, 2.1), "car_glass")
     mesh.box((-0.6, 1.78, 0.3), (0.4, 1.88, 2.1), "poster")
     mesh.box((-0.68, -1.3, 0.42), (-0.3, 1.2, 0.48), "wood")
-    mesh.box(
-        [(-0.5, y, 0) for y in (-1.0, 0.9)], [(-0.42, y + 0.06, 0.42) for y in (-1.0, 0.9)], "metal"
-    )
+    legs = np.array([-1.0, 0.9])
+    mesh.box((-0.5, legs, 0), (-0.42, legs + 0.06, 0.42), "metal")
     return mesh
 
 
