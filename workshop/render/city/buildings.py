@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 
 from workshop.render.city.facades import PALETTES, Style, facade, party_wall, random_style
 from workshop.render.city.layout import KERB_HEIGHT, Lot, Rectangle
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 
 
 def build(lot: Lot, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float, float]]:
     """Return a building as a mesh in world coordinates, and its colour."""
     style, mesh = random_style(rng), Mesh()
-    color = np.array(PALETTES[style.wall][rng.integers(len(PALETTES[style.wall]))]) * rng.uniform(
-        0.85, 1.15
-    )
+    palette = PALETTES[style.wall]
+    color = np.array(palette[rng.integers(len(palette))]) * rng.uniform(0.85, 1.15)
     setback = rng.uniform(0.0, 0.5)
-    x0, y0, x1, y1 = (
-        edge + sign * setback * lot.street_sides[side]
-        for edge, sign, side in zip(
-            (lot.ground.x0, lot.ground.y0, lot.ground.x1, lot.ground.y1),
-            (1, 1, -1, -1),
-            (3, 0, 1, 2),
-            strict=True,
-        )
-    )
-    body = Rectangle(x0, y0, x1, y1)
+    south, east, north, west = (setback * on_street for on_street in lot.street_sides)
+    g = lot.ground
+    body = Rectangle(g.x0 + west, g.y0 + south, g.x1 - east, g.y1 - north)
     _storeys(mesh, body, lot, style, rng, KERB_HEIGHT, style.height)
     top = KERB_HEIGHT + style.height
     if style.floors > 7 and min(body.size) > 9:
@@ -53,39 +48,19 @@ def _storeys(
         if lot.open_sides[side]:
             facade(mesh, length, style, rng, lot.street_sides[side])
         else:
-            mesh.add(
-                [(0, 0, 0), (length, 0, 0), (length, 0, height), (0, 0, height)], party_wall(style)
-            )
+            wall = points((0, length, length, 0), 0, (0, 0, height, height))
+            mesh.add(wall, party_wall(style))
     mesh.place()
-    mesh.add(
-        [
-            (body.x0, body.y0, base + height),
-            (body.x1, body.y0, base + height),
-            (body.x1, body.y1, base + height),
-            (body.x0, body.y1, base + height),
-        ],
-        "roof",
-    )
+    x, y = (body.x0, body.x1, body.x1, body.x0), (body.y0, body.y0, body.y1, body.y1)
+    mesh.add(points(x, y, base + height), "roof")
 
 
 def _set_back(
     mesh: Mesh, upper: Rectangle, style: Style, rng: np.random.Generator, base: float
 ) -> float:
     floors = int(rng.integers(2, 5))
-    plain = Style(
-        style.wall,
-        floors,
-        style.floor_height,
-        style.floor_height,
-        style.bay,
-        style.window_width,
-        style.window_height,
-        style.sill,
-        style.recess,
-        "none",
-        False,
-        False,
-    )
+    plain = replace(style, floors=floors, ground_height=style.floor_height)
+    plain = replace(plain, balconies="none", shops=False, gable=False)
     lot = Lot(upper, (True,) * 4, (False,) * 4, False)
     _storeys(mesh, upper, lot, plain, rng, base, plain.height)
     return base + plain.height
@@ -108,20 +83,14 @@ def _flat_roof(mesh: Mesh, body: Rectangle, z: float, rng: np.random.Generator) 
         mesh.box((*(spot - size), 0.0), (*(spot + size), rng.uniform(0.7, 1.5)), "metal")
     x, y = spots[5]
     mesh.tube([(x, y, 0), (x, y, 3.6)], 0.03, "metal", 6)
-    mesh.box(
-        [(x - 0.7, y - 0.015, 3.0 + 0.25 * k) for k in range(3)],
-        [(x + 0.7, y + 0.015, 3.03 + 0.25 * k) for k in range(3)],
-        "metal",
-    )
+    z = 3.0 + 0.25 * np.arange(3)
+    mesh.box((x - 0.7, y - 0.015, z), (x + 0.7, y + 0.015, z + 0.03), "metal")
     if rng.random() < 0.35:
         x, y = spots[6]
         mesh.tube([(x, y, 1.2), (x, y, 3.4)], 1.0, "wood", 16)
         mesh.tube([(x, y, 3.4), (x, y, 4.2)], [1.05, 0.05], "roof", 16)
-        mesh.box(
-            [(x + a, y + b, 0) for a in (-0.7, 0.6) for b in (-0.7, 0.6)],
-            [(x + a + 0.1, y + b + 0.1, 1.2) for a in (-0.7, 0.6) for b in (-0.7, 0.6)],
-            "metal",
-        )
+        for a, b in itertools.product((x - 0.7, x + 0.6), (y - 0.7, y + 0.6)):
+            mesh.box((a, b, 0), (a + 0.1, b + 0.1, 1.2), "metal")
 
 
 def _gable_roof(mesh: Mesh, body: Rectangle, z: float) -> None:
@@ -132,15 +101,10 @@ def _gable_roof(mesh: Mesh, body: Rectangle, z: float) -> None:
     slope = rise / (mid - y0)
     for edge, sign in ((y0 - over, 1), (y1 + over, -1)):
         low = z - slope * over + 0.02
-        mesh.add(
-            [(x0, edge, low), (x1, edge, low), (x1, mid, z + rise), (x0, mid, z + rise)],
-            "roof_tiles",
-        )
-        mesh.box(
-            (x0, min(edge, edge + sign * 0.12), low - 0.12),
-            (x1, max(edge, edge + sign * 0.12), low),
-            "trim",
-        )
+        pitch = points((x0, x1, x1, x0), (edge, edge, mid, mid), (low, low, z + rise, z + rise))
+        mesh.add(pitch, "roof_tiles")
+        ends = sorted((edge, edge + sign * 0.12))
+        mesh.box((x0, ends[0], low - 0.12), (x1, ends[1], low), "trim")
     for x in (x0, x1):
         mesh.add([(x, y0, z), (x, y1, z), (x, mid, z + rise)], "brick")
     for x in (x0 + 1.2, x1 - 1.8):

@@ -142,57 +142,38 @@ def _lot(stage: Stage, lot: Lot, rng: np.random.Generator) -> None:
     mesh.add([(g.x0, g.y0, z), (g.x1, g.y0, z), (g.x1, g.y1, z), (g.x0, g.y1, z)], "grass")
     y = g.y0 + 0.3 if lot.street_sides[0] else g.y1 - 0.3
     posts = np.arange(g.x0 + 0.1, g.x1, 0.16)
-    mesh.box(
-        np.column_stack([posts, 0 * posts + y, 0 * posts + z]),
-        np.column_stack([posts + 0.025, 0 * posts + y + 0.025, 0 * posts + z + 1.5]),
-        "dark_trim",
-    )
-    mesh.box(
-        [(g.x0, y - 0.02, z + h) for h in (0.2, 1.35)],
-        [(g.x1, y + 0.04, z + h + 0.05) for h in (0.2, 1.35)],
-        "dark_trim",
-    )
+    mesh.box((posts, y, z), (posts + 0.025, y + 0.025, z + 1.5), "dark_trim")
+    rails = z + np.array([0.2, 1.35])
+    mesh.box((g.x0, y - 0.02, rails), (g.x1, y + 0.04, rails + 0.05), "dark_trim")
     stage.add(mesh, "garden")
     for x in np.arange(g.x0 + 3.8, g.x1 - 3.6, 5.5):
-        stage.put(
-            f"big tree{rng.integers(6)}",
-            (x, g.center[1] + rng.uniform(-1.5, 1.5), z),
-            rng.uniform(0, 6.28),
-            scale=0.9,
-        )
+        name, at = f"big tree{rng.integers(6)}", (x, g.center[1] + rng.uniform(-1.5, 1.5), z)
+        stage.put(name, at, rng.uniform(0, 6.28), scale=0.9)
 
 
 def _park(stage: Stage, block: Block, rng: np.random.Generator) -> None:
     area, mesh, z = block.building_line, Mesh(), KERB_HEIGHT + 0.03
     mesh.prism(area.rounded(3.0), 0.0, z, "kerbstone", "grass")
     middle, (w, h) = area.center, area.size
-    for low, high in (
-        ((area.x0, middle[1] - 1.2), (area.x1, middle[1] + 1.2)),
-        ((middle[0] - 1.2, area.y0), (middle[0] + 1.2, area.y1)),
-    ):
-        mesh.box((*low, z - 0.05), (*high, z + 0.01), "cobbles")
+    (x, y), low, high = middle, z - 0.05, z + 0.01
+    mesh.box((area.x0, y - 1.2, low), (area.x1, y + 1.2, high), "cobbles")
+    mesh.box((x - 1.2, area.y0, low), (x + 1.2, area.y1, high), "cobbles")
     stage.add(mesh, "park")
     for k in range(26):
         x, y = area.x0 + 3.8 + (w - 7.6) * rng.random(), area.y0 + 3.8 + (h - 7.6) * rng.random()
         if min(abs(x - middle[0]), abs(y - middle[1])) > 2.2:
-            stage.put(
-                f"big tree{k % 6}", (x, y, z), rng.uniform(0, 6.28), scale=rng.uniform(0.75, 1.1)
-            )
+            yaw, scale = rng.uniform(0, 6.28), rng.uniform(0.75, 1.1)
+            stage.put(f"big tree{k % 6}", (x, y, z), yaw, scale=scale)
     for side in (-1, 1):
         for x in np.arange(area.x0 + 6, area.x1 - 6, 9):
             if abs(x - middle[0]) > 3:
-                stage.put("bench", (x, middle[1] + side * 1.75, z), -side * np.pi / 2)
-                stage.put(
-                    "lamp", (x + 3.5, middle[1] + side * 1.6, z), -side * np.pi / 2, scale=0.55
-                )
+                yaw, lamp = -side * np.pi / 2, (x + 3.5, middle[1] + side * 1.6, z)
+                stage.put("bench", (x, middle[1] + side * 1.75, z), yaw)
+                stage.put("lamp", lamp, yaw, scale=0.55)
     for start, along, length in area.inset(0.6).sides():
         for s in (3.0, length / 2 + 2.5):
-            run = nature.hedge(length / 2 - 6.0, rng)
-            stage.put(
-                run.to_blender("hedge", stage.materials),
-                (*(start + along * s), z),
-                np.arctan2(along[1], along[0]),
-            )
+            run = nature.hedge(length / 2 - 6.0, rng).to_blender("hedge", stage.materials)
+            stage.put(run, (*(start + along * s), z), np.arctan2(along[1], along[0]))
 
 
 def _roadside(stage: Stage, block: Block, side: Side, rng: np.random.Generator) -> None:
@@ -231,9 +212,8 @@ def _roadside(stage: Stage, block: Block, side: Side, rng: np.random.Generator) 
         if not wired and rng.random() < 0.42:
             _tree(stage, side, spots[k], rng)
         elif rng.random() < 0.75:
-            _small_thing(
-                stage, side, spots[k], str(rng.choice(small, p=weights / weights.sum())), rng
-            )
+            name = str(rng.choice(small, p=weights / weights.sum()))
+            _small_thing(stage, side, spots[k], name, rng)
     _people(stage, block, side, rng)
 
 
@@ -247,16 +227,11 @@ def _small_thing(stage: Stage, side: Side, s: float, name: str, rng: np.random.G
 
 def _tree(stage: Stage, side: Side, s: float, rng: np.random.Generator) -> None:
     pit, (x, y, z) = Mesh(), side.at(s, _TREE_STRIP, KERB_HEIGHT + 0.008)
-    pit.add(
-        [(x + a, y + b, z) for a, b in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))], "soil"
-    )
+    corners = (-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6)
+    pit.add([(x + a, y + b, z) for a, b in corners], "soil")
     stage.add(pit, "tree pit")
-    stage.put(
-        f"tree{rng.integers(6)}",
-        (x, y, KERB_HEIGHT),
-        rng.uniform(0, 6.28),
-        scale=rng.uniform(0.9, 1.05),
-    )
+    name, yaw, scale = f"tree{rng.integers(6)}", rng.uniform(0, 6.28), rng.uniform(0.9, 1.05)
+    stage.put(name, (x, y, KERB_HEIGHT), yaw, scale=scale)
 
 
 def _wires(stage: Stage, side: Side, at: NDArray[np.float64], rng: np.random.Generator) -> None:
@@ -272,14 +247,10 @@ def _parked_cars(stage: Stage, side: Side, rng: np.random.Generator) -> None:
     for slot in slots[rng.random(len(slots)) < 0.72]:
         s = slot if forward else side.length - slot
         kind = str(rng.choice(list(vehicles.BODIES), p=[0.26, 0.28, 0.18, 0.18, 0.1]))
-        at = side.at(
-            s + rng.uniform(-0.15, 0.15), PARKING - HALF_STREET + rng.uniform(-0.06, 0.06), 0.0
-        )
-        heading = (
-            np.arctan2(-side.along[1], -side.along[0])
-            + (np.pi if rng.random() < 0.08 else 0)
-            + rng.normal(0, 0.012)
-        )
+        s += rng.uniform(-0.15, 0.15)
+        at = side.at(s, PARKING - HALF_STREET + rng.uniform(-0.06, 0.06), 0.0)
+        heading = np.arctan2(-side.along[1], -side.along[0]) + np.pi * (rng.random() < 0.08)
+        heading += rng.normal(0, 0.012)
         stage.put(kind, at, heading, vehicles.PAINTS[rng.integers(len(vehicles.PAINTS))])
 
 
@@ -287,11 +258,8 @@ def _people(stage: Stage, block: Block, side: Side, rng: np.random.Generator) ->
     for s in np.arange(CORNER_RADIUS + 2, side.length - CORNER_RADIUS - 2, 2.2):
         if rng.random() < 0.2:
             at = side.at(s + rng.uniform(-0.5, 0.5), rng.uniform(2.25, block.pavement - 0.95))
-            stage.put(
-                f"person{rng.integers(12)}",
-                at,
-                side.yaw + np.pi / 2 * rng.choice([-1, 1]) + rng.normal(0, 0.3),
-            )
+            name, turn = f"person{rng.integers(12)}", np.pi / 2 * rng.choice([-1, 1])
+            stage.put(name, at, side.yaw + turn + rng.normal(0, 0.3))
 
 
 def _skyline(stage: Stage, district: District, rng: np.random.Generator) -> None:
@@ -306,9 +274,6 @@ def _skyline(stage: Stage, district: District, rng: np.random.Generator) -> None
                 across = reach[1 - side % 2] + away + rng.uniform(0, 18)
                 center = e.center + ((s, across), (across, s), (s, -across), (-across, s))[side]
                 size = np.array([wide, wide]) / 2 * rng.uniform(0.8, 1.05)
-                mesh.box(
-                    (*(center - size), 0),
-                    (*(center + size), height * rng.uniform(0.5, 1.4)),
-                    "skyline",
-                )
+                top = height * rng.uniform(0.5, 1.4)
+                mesh.box((*(center - size), 0), (*(center + size), top), "skyline")
     stage.add(mesh, "skyline", (0.32, 0.29, 0.27))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 
 
 @dataclass(frozen=True)
@@ -104,32 +104,19 @@ def _shell(mesh: Mesh, body: Body) -> None:
     lean = np.clip((z - body.belt) / (peak - body.belt), 0, 1)
     tuck = np.clip((0.45 - z) / 0.3, 0, 1)
     half = body.width / 2 * ends[:, None] * (1 - 0.2 * lean - 0.1 * tuck) - 0.05 * section**8
-    side = np.stack([np.broadcast_to(x[:, None], z.shape), half, z], axis=-1)
+    side = points(x[:, None], half, z)
     roof = np.linspace(1, -1, 7)
     crown = 0.04 * (1 - roof**2)
-    cover = np.stack(
-        [np.broadcast_to(x[:, None], (len(x), 7)), half[:, -1:] * roof, z[:, -1:] + crown], axis=-1
-    )
+    cover = points(x[:, None], half[:, -1:] * roof, z[:, -1:] + crown)
     full = np.concatenate([side, cover[:, 1:-1], (side * (1, -1, 1))[:, ::-1]], axis=1)
-    quads = np.stack([full[:-1, :-1], full[1:, :-1], full[1:, 1:], full[:-1, 1:]], axis=2).reshape(
-        -1, 4, 3
-    )
+    quads = np.stack([full[:-1, :-1], full[1:, :-1], full[1:, 1:], full[:-1, 1:]], axis=2)
+    quads = quads.reshape(-1, 4, 3)
     glass = _is_glass(quads, body)
     mesh.add(quads[glass], "car_glass")
     mesh.add(quads[~glass], "car_paint")
     for end in (0, -1):
-        mesh.add(
-            np.stack(
-                [
-                    full[end, :-1],
-                    full[end, 1:],
-                    full[end, 1:] * (1, 0, 1),
-                    full[end, :-1] * (1, 0, 1),
-                ],
-                1,
-            ),
-            "car_paint",
-        )
+        a, b, flat = full[end, :-1], full[end, 1:], (1, 0, 1)
+        mesh.add(np.stack([a, b, b * flat, a * flat], 1), "car_paint")
     floor = np.stack([side[:, 0], side[:, 0] * (1, -1, 1)], axis=1)
     mesh.sheet(floor, "rubber")
 
@@ -140,10 +127,9 @@ def _is_glass(quads: np.ndarray, body: Body) -> np.ndarray:
     local_top = np.interp(t, body.stations, body.tops)
     in_cabin = (t > body.cabin[0]) & (t < body.cabin[1])
     is_cover = np.abs(center[:, 1]) < body.width / 2 * 0.72
-    slope = np.abs(
-        np.gradient(np.interp(np.linspace(0, 1, 201), body.stations, body.tops)) * 200 / body.length
-    )
-    steep = np.interp(t, np.linspace(0, 1, 201), slope) > 0.22
+    fine = np.linspace(0, 1, 201)
+    slope = np.abs(np.gradient(np.interp(fine, body.stations, body.tops)) * 200 / body.length)
+    steep = np.interp(t, fine, slope) > 0.22
     flank = ~is_cover & (z > body.belt + 0.04) & (z < local_top - 0.1)
     pillar = np.min([np.abs(t - p) for p in (0.38, 0.6)], axis=0) < 0.013
     screen = is_cover & steep & (z > body.belt + 0.03)
@@ -158,19 +144,11 @@ def _wheel(mesh: Mesh, x: float, y: float, radius: float, side: int) -> None:
     angle = np.linspace(0, 2 * np.pi, 6)[:-1]
     hole = radius * 0.42
     for a in angle:
-        mesh.ball(
-            (x + hole * np.cos(a), outer, radius + hole * np.sin(a)),
-            (0.045, 0.006, 0.045),
-            "rubber",
-            4,
-        )
+        at = (x + hole * np.cos(a), outer, radius + hole * np.sin(a))
+        mesh.ball(at, (0.045, 0.006, 0.045), "rubber", 4)
     # The arch: a dark ring behind the tyre, wider than it.
-    mesh.tube(
-        [(x, y - side * 0.11, radius + 0.02), (x, y + side * 0.105, radius + 0.02)],
-        radius + 0.045,
-        "rubber",
-        20,
-    )
+    arch = points(x, (y - side * 0.11, y + side * 0.105), radius + 0.02)
+    mesh.tube(arch, radius + 0.045, "rubber", 20)
 
 
 def _details(mesh: Mesh, body: Body) -> None:
@@ -179,35 +157,20 @@ def _details(mesh: Mesh, body: Body) -> None:
     for side in (-1, 1):
         y = side * (half * 0.66)
         mesh.box((nose - 0.12, y - 0.17, low), (nose + 0.015, y + 0.17, low + 0.14), "lamp_off")
-        mesh.box(
-            (tail - 0.015, y - 0.16, low + 0.05), (tail + 0.12, y + 0.16, low + 0.22), "sign_red"
-        )
+        lamp = (tail - 0.015, y - 0.16, low + 0.05), (tail + 0.12, y + 0.16, low + 0.22)
+        mesh.box(*lamp, "sign_red")
         mirror = body.length * (body.cabin[1] - 0.5) - 0.25
-        mesh.ball(
-            (mirror, side * (half + 0.09), body.belt + 0.08), (0.07, 0.11, 0.08), "car_paint", 5
-        )
+        at = (mirror, side * (half + 0.09), body.belt + 0.08)
+        mesh.ball(at, (0.07, 0.11, 0.08), "car_paint", 5)
         for t in (0.4, 0.6):  # door gaps and handles
-            x = (t - 0.5) * body.length
-            mesh.box(
-                (x - 0.006, side * (half - 0.006) - 0.008, 0.35),
-                (x + 0.006, side * (half - 0.006) + 0.008, body.belt),
-                "rubber",
-            )
-            mesh.box(
-                (x - 0.25, side * half - 0.02, body.belt - 0.13),
-                (x - 0.08, side * half + 0.02, body.belt - 0.1),
-                "rim",
-            )
-        mesh.box(
-            (-0.42 * body.length, side * half * 0.93 - 0.03, 0.19),
-            (0.42 * body.length, side * half * 0.93 + 0.03, 0.27),
-            "rubber",
-        )
-    mesh.box(
-        (nose - 0.1, -half * 0.45, low - 0.1), (nose + 0.01, half * 0.45, low + 0.06), "rubber"
-    )
-    for x, out in ((nose, 1), (tail, -1)):
-        mesh.box(
-            (min(x, x + out * 0.025), -0.26, 0.38), (max(x, x + out * 0.025), 0.26, 0.49), "plate"
-        )
+            x, y, belt = (t - 0.5) * body.length, side * (half - 0.006), body.belt
+            mesh.box((x - 0.006, y - 0.008, 0.35), (x + 0.006, y + 0.008, belt), "rubber")
+            y = side * half
+            mesh.box((x - 0.25, y - 0.02, belt - 0.13), (x - 0.08, y + 0.02, belt - 0.1), "rim")
+        x, y = 0.42 * body.length, side * half * 0.93
+        mesh.box((-x, y - 0.03, 0.19), (x, y + 0.03, 0.27), "rubber")
+    wide = half * 0.45
+    mesh.box((nose - 0.1, -wide, low - 0.1), (nose + 0.01, wide, low + 0.06), "rubber")
+    for x, end in ((nose, nose + 0.025), (tail, tail - 0.025)):
+        mesh.box((min(x, end), -0.26, 0.38), (max(x, end), 0.26, 0.49), "plate")
         mesh.box((x - 0.12, -half * 0.8, 0.2), (x + 0.12, half * 0.8, 0.34), "rubber")

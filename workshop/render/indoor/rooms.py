@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.geometry.pose import Pose
 from workshop.render.city import nature
 from workshop.render.indoor import furniture
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 from workshop.render.things.scenes import random_pose
 from workshop.render.things.shapes import bounds_after, distance_to_box, random_shape
 
@@ -81,9 +81,8 @@ def plan_room(rng: np.random.Generator) -> RoomPlan:
     kind = str(rng.choice(list(_KINDS), p=[0.6, 0.2, 0.2]))
     low, high, largest = _KINDS[kind]
     size = rng.uniform(low, high)
-    min_depth = float(
-        np.exp(rng.uniform(np.log(0.3), np.log(min(largest, 0.42 * size[1], 0.42 * size[2]))))
-    )
+    largest = min(largest, 0.42 * size[1], 0.42 * size[2])
+    min_depth = float(np.exp(rng.uniform(np.log(0.3), np.log(largest))))
     margin = 1.04 * min_depth + 0.05
     at = rng.uniform((margin,) * 3, size - margin)
     at[2] = np.clip(rng.uniform(0.7, 1.8), margin, size[2] - margin)
@@ -103,10 +102,8 @@ def _plan_windows(plan: RoomPlan, rng: np.random.Generator) -> None:
         top = min(plan.size[2] - 0.15, sill + rng.uniform(0.9, 2.0))
         count = min(int(length / (wide + rng.uniform(0.4, 2.5))), 6)
         for k in range(count):
-            middle = (k + 0.5) * length / count
-            plan.windows.append(
-                Opening(int(side), middle - wide / 2, middle + wide / 2, float(sill), float(top))
-            )
+            left, right = ((k + 0.5) * length / count + half for half in (-wide / 2, wide / 2))
+            plan.windows.append(Opening(int(side), left, right, float(sill), float(top)))
 
 
 def _plan_lamps(plan: RoomPlan, rng: np.random.Generator) -> None:
@@ -176,12 +173,8 @@ def _on_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
         if rng.random() < 0.15
         else furniture.picture(wide, wide * rng.uniform(0.5, 1.2), kind, 0.5)
     )
-    at = (
-        start
-        + rng.uniform(0.5, 0.95) * length * along
-        - 0.004 * outward
-        + np.array([0, 0, rng.uniform(1.2, 1.8)])
-    )
+    at = start + rng.uniform(0.5, 0.95) * length * along - 0.004 * outward
+    at[2] += rng.uniform(1.2, 1.8)
     _place(plan, mesh, at, _SIDES[side])
 
 
@@ -195,29 +188,17 @@ def _table_with_things(plan: RoomPlan, rng: np.random.Generator) -> None:
     """Stand a table somewhere, chairs at it and small things on it."""
     long, wide, high = rng.uniform(0.8, 2.0), rng.uniform(0.5, 1.0), rng.uniform(0.45, 0.95)
     yaw = rng.choice(_SIDES) + rng.normal(0, 0.05)
-    at, mesh = (
-        np.array([*rng.uniform((0.6, 0.6), plan.size[:2] - 0.6), 0.0]),
-        _desk(long, wide, high),
-    )
-    if not _place(plan, mesh, at, yaw):
+    at = np.array([*rng.uniform((0.6, 0.6), plan.size[:2] - 0.6), 0.0])
+    if not _place(plan, _desk(long, wide, high), at, yaw):
         return
     c, s = np.cos(yaw), np.sin(yaw)
-    for x, y in (
-        rng.uniform((-wide / 2, -long / 2), (wide / 2, long / 2), (int(rng.integers(3, 12)), 2))
-        * 0.85
-    ):
-        thing, size = (
-            random_shape(rng, [str(k) for k in rng.integers(0, SMALL_MATERIALS, 3)]),
-            rng.uniform(0.04, 0.16),
-        )
+    half = np.array([wide, long]) / 2
+    for x, y in 0.85 * rng.uniform(-half, half, (int(rng.integers(3, 12)), 2)):
+        thing = random_shape(rng, [str(k) for k in rng.integers(0, SMALL_MATERIALS, 3)])
+        size = rng.uniform(0.04, 0.16)
         up = high - size * thing.bounds()[0, 2]
-        _place(
-            plan,
-            thing,
-            at + np.array([c * x - s * y, s * x + c * y, up]),
-            rng.uniform(-np.pi, np.pi),
-            size,
-        )
+        spot = at + np.array([c * x - s * y, s * x + c * y, up])
+        _place(plan, thing, spot, rng.uniform(-np.pi, np.pi), size)
     for x, y in ((-wide / 2 - 0.28, 0.0), (wide / 2 + 0.28, rng.uniform(-0.2, 0.2))):
         seat = at + np.array([c * x - s * y, s * x + c * y, 0])
         _place(plan, furniture.chair(), seat, yaw + (0 if x < 0 else np.pi) + rng.normal(0, 0.2))
@@ -237,41 +218,28 @@ def _desk(long: float, wide: float, high: float) -> Mesh:
 
 
 def _cupboard(rng: np.random.Generator) -> Mesh:
-    mesh, deep, wide, high = (
-        Mesh(),
-        rng.uniform(0.3, 0.65),
-        rng.uniform(0.5, 2.2),
-        rng.uniform(0.7, 2.2),
-    )
+    mesh, deep = Mesh(), rng.uniform(0.3, 0.65)
+    wide, high = rng.uniform(0.5, 2.2), rng.uniform(0.7, 2.2)
     paint = str(rng.choice(["enamel", "oak", "0", "1"]))
     mesh.box((0, 0, 0), (deep, wide, high), paint)
     count = max(1, round(wide / 0.5))
     for k in range(count):
         a, b = k * wide / count + 0.008, (k + 1) * wide / count - 0.008
         mesh.box((deep, a, 0.08), (deep + 0.018, b, high - 0.02), paint, 0.6)
-        mesh.tube(
-            [(deep + 0.04, b - 0.05, 0.5 * high), (deep + 0.04, b - 0.05, 0.5 * high + 0.12)],
-            0.007,
-            "rim",
-        )
+        handle = points(deep + 0.04, b - 0.05, (0.5 * high, 0.5 * high + 0.12))
+        mesh.tube(handle, 0.007, "rim")
     return mesh
 
 
 def _door(rng: np.random.Generator) -> Mesh:
     mesh, wide, high = Mesh(), rng.uniform(0.75, 1.0), rng.uniform(1.98, 2.15)
     paint = str(rng.choice(["enamel", "oak", "2"]))
-    mesh.box(
-        [(0, -0.07, 0), (0, wide, 0), (0, -0.07, high)],
-        [(0.03, 0, high), (0.03, wide + 0.07, high), (0.03, wide + 0.07, high + 0.07)],
-        "enamel",
-    )
+    mesh.box((0, -0.07, 0), (0.03, 0, high), "enamel")
+    mesh.box((0, wide, 0), (0.03, wide + 0.07, high), "enamel")
+    mesh.box((0, -0.07, high), (0.03, wide + 0.07, high + 0.07), "enamel")
     mesh.box((0, 0, 0.005), (0.015, wide, high), paint)
-    mesh.tube(
-        [(0.015, wide - 0.07, 1.05), (0.06, wide - 0.07, 1.05), (0.06, wide - 0.19, 1.05)],
-        0.009,
-        "rim",
-        8,
-    )
+    handle = points((0.015, 0.06, 0.06), (wide - 0.07, wide - 0.07, wide - 0.19), 1.05)
+    mesh.tube(handle, 0.009, "rim", 8)
     return mesh
 
 
@@ -289,11 +257,8 @@ def _cartons(rng: np.random.Generator) -> Mesh:
     for _ in range(int(rng.integers(1, 4))):
         half, high = rng.uniform(0.12, 0.3, 2), rng.uniform(0.15, 0.45)
         x, y = rng.normal(0, 0.04, 2)
-        mesh.box(
-            (x - half[0], y - half[1], z),
-            (x + half[0], y + half[1], z + high),
-            str(rng.integers(SMALL_MATERIALS)),
-        )
+        low, top = (x - half[0], y - half[1], z), (x + half[0], y + half[1], z + high)
+        mesh.box(low, top, str(rng.integers(SMALL_MATERIALS)))
         z += high
     return mesh
 
@@ -313,9 +278,8 @@ def _toy(rng: np.random.Generator) -> Mesh:
     if rng.random() < 0.5:
         mesh.ball((0, 0, size), np.full(3, size), str(rng.integers(SMALL_MATERIALS)), 14)
     else:
-        mesh.box(
-            (-size, -0.7 * size, 0), (size, 0.7 * size, size), str(rng.integers(SMALL_MATERIALS))
-        )
+        low, high = (-size, -0.7 * size, 0), (size, 0.7 * size, size)
+        mesh.box(low, high, str(rng.integers(SMALL_MATERIALS)))
     return mesh
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workshop.render.indoor.furniture import cushion
-from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.mesh_builder import Mesh, points
 
 Builder = Callable[[Mesh, np.random.Generator, Sequence[str]], None]
 
@@ -24,9 +24,8 @@ def bounds_after(mesh: Mesh, yaw: float, scale: float, at: ArrayLike) -> NDArray
     """Return the box, (2, 3), around a mesh scaled, rotated by `yaw`, moved."""
     (x0, y0, z0), (x1, y1, z1) = mesh.bounds() * scale
     c, s = np.cos(yaw), np.sin(yaw)
-    corners = np.array(
-        [(c * x - s * y, s * x + c * y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]
-    )
+    x, y, z = np.meshgrid((x0, x1), (y0, y1), (z0, z1))
+    corners = points(c * x - s * y, s * x + c * y, z).reshape(-1, 3)
     return np.stack([corners.min(axis=0), corners.max(axis=0)]) + at
 
 
@@ -46,9 +45,8 @@ def _boxes(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> No
     """Add a heap of boxes, as parcels or a house with a tower."""
     for k in range(int(rng.integers(2, 6))):
         low = rng.uniform(-0.57, 0.3, 3)
-        mesh.box(
-            low, np.minimum(low + rng.uniform(0.15, 0.8, 3), 0.57), materials[k % len(materials)]
-        )
+        high = np.minimum(low + rng.uniform(0.15, 0.8, 3), 0.57)
+        mesh.box(low, high, materials[k % len(materials)])
 
 
 def _ball(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
@@ -62,31 +60,22 @@ def _pillow(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> N
 def _pipe(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     """Add a cylinder, a cone or something between."""
     length, ends = rng.uniform(0.2, 0.85), rng.uniform(0.0, 0.5, 2) * (1, rng.random() < 0.7) + 0.01
-    mesh.tube(
-        [(0, 0, -length), (0, 0, length)], ends, materials[0], int(rng.choice([3, 4, 5, 6, 24]))
-    )
+    sides = int(rng.choice([3, 4, 5, 6, 24]))
+    mesh.tube([(0, 0, -length), (0, 0, length)], ends, materials[0], sides)
 
 
 def _ring(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     thick, angle = rng.uniform(0.05, 0.3), np.linspace(0, 2 * np.pi, 37)
     around = np.linspace(0, 2 * np.pi, 13)[:, None]
     radius = 1 - thick + thick * np.cos(around)
-    points = np.broadcast_arrays(
-        radius * np.cos(angle), radius * np.sin(angle), thick * np.sin(around)
-    )
-    mesh.sheet(np.stack(points, axis=-1), materials[0])
+    ring = points(radius * np.cos(angle), radius * np.sin(angle), thick * np.sin(around))
+    mesh.sheet(ring, materials[0])
 
 
 def _wire(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     """Add a thick wire that winds through the sphere."""
     t = np.linspace(0, 2 * np.pi, 60)
-    path = np.stack(
-        [
-            np.sin(n * t + p)
-            for n, p in zip(rng.integers(1, 4, 3), rng.uniform(0, 6, 3), strict=True)
-        ],
-        -1,
-    )
+    path = np.sin(rng.integers(1, 4, 3) * t[:, None] + rng.uniform(0, 6, 3))
     mesh.tube(0.5 * path, rng.uniform(0.02, 0.1), materials[0], 8)
 
 
@@ -103,24 +92,17 @@ def _star(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> Non
 
 def _rock(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     latitude, angle = np.linspace(-np.pi / 2, np.pi / 2, 15)[:, None], np.linspace(0, 2 * np.pi, 29)
-    points = np.stack(
-        np.broadcast_arrays(
-            np.cos(latitude) * np.cos(angle), np.cos(latitude) * np.sin(angle), np.sin(latitude)
-        ),
-        -1,
-    )
-    bumps = sum(np.sin(points @ rng.normal(0, 2.5, 3) + rng.uniform(0, 6)) for _ in range(5))
-    mesh.sheet(points * (0.75 + 0.05 * bumps[..., None]) * rng.uniform(0.5, 1.0, 3), materials[0])
+    girth = np.cos(latitude)
+    ball = points(girth * np.cos(angle), girth * np.sin(angle), np.sin(latitude))
+    bumps = sum(np.sin(ball @ rng.normal(0, 2.5, 3) + rng.uniform(0, 6)) for _ in range(5))
+    mesh.sheet(ball * (0.75 + 0.05 * bumps[..., None]) * rng.uniform(0.5, 1.0, 3), materials[0])
 
 
 def _vase(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     z = np.linspace(-0.75, 0.75, 20)
-    radius = (
-        0.35
-        + 0.15 * np.sin(rng.uniform(2, 6) * z + rng.uniform(0, 6))
-        + 0.1 * np.sin(rng.uniform(1, 9) * z)
-    )
-    mesh.tube(np.column_stack([0 * z, 0 * z, z]), radius, materials[0], 24)
+    radius = 0.35 + 0.15 * np.sin(rng.uniform(2, 6) * z + rng.uniform(0, 6))
+    radius += 0.1 * np.sin(rng.uniform(1, 9) * z)
+    mesh.tube(points(0, 0, z), radius, materials[0], 24)
 
 
 def _crate(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
@@ -131,26 +113,16 @@ def _crate(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> No
             for j in (-1, 1):
                 low, high = -half.copy(), half.copy()
                 for other, sign in ((axis - 1, i), (axis - 2, j)):
-                    low[other], high[other] = (
-                        sign * half[other] - thick / 2,
-                        sign * half[other] + thick / 2,
-                    )
+                    middle = sign * half[other]
+                    low[other], high[other] = middle - thick / 2, middle + thick / 2
                 mesh.box(low, high, materials[0])
 
 
 def _fence(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     """Add upright bars between two rails."""
-    x, thick, high = (
-        np.linspace(-0.8, 0.8, int(rng.integers(4, 12))),
-        rng.uniform(0.015, 0.06),
-        rng.uniform(0.2, 0.5),
-    )
-    zero = 0 * x
-    mesh.box(
-        np.column_stack([x - thick, zero - thick, zero - high]),
-        np.column_stack([x + thick, zero + thick, zero + high]),
-        materials[0],
-    )
+    x = np.linspace(-0.8, 0.8, int(rng.integers(4, 12)))
+    thick, high = rng.uniform(0.015, 0.06), rng.uniform(0.2, 0.5)
+    mesh.box((x - thick, -thick, -high), (x + thick, thick, high), materials[0])
     for z in (-0.7 * high, 0.7 * high):
         mesh.box((-0.85, -1.5 * thick, z - thick), (0.85, -thick, z + thick), materials[-1])
 
@@ -160,18 +132,15 @@ def _panel(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> No
     u, v = np.linspace(-0.7, 0.7, 25), np.linspace(-0.65, 0.65, 2)[:, None] * rng.uniform(0.3, 1.0)
     bend = rng.uniform(0, 0.25) * np.sin(rng.uniform(1, 6) * u)
     for offset in (0.0, 0.03):
-        mesh.sheet(np.stack(np.broadcast_arrays(u, bend + offset, v), -1), materials[0])
+        mesh.sheet(points(u, bend + offset, v), materials[0])
 
 
 def _steps(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
     count, wide = int(rng.integers(3, 8)), rng.uniform(0.2, 0.55)
     x = np.linspace(-0.6, 0.6, count + 1)
     for k in range(count):
-        mesh.box(
-            (x[k], -wide, -0.5),
-            (x[k + 1], wide, -0.5 + (k + 1) / count),
-            materials[k % len(materials)],
-        )
+        top = (x[k + 1], wide, -0.5 + (k + 1) / count)
+        mesh.box((x[k], -wide, -0.5), top, materials[k % len(materials)])
 
 
 def _shrub(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> None:
@@ -179,11 +148,8 @@ def _shrub(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> No
     count = int(rng.integers(80, 300))
     at = rng.normal(size=(count, 1, 3))
     at *= 0.7 * rng.uniform(0.4, 1, (count, 1, 1)) / np.linalg.norm(at, axis=2, keepdims=True)
-    mesh.add(
-        at + np.clip(rng.normal(0, 0.09, (count, 4, 3)), -0.17, 0.17),
-        materials[0],
-        rng.random(count),
-    )
+    leaves = at + np.clip(rng.normal(0, 0.09, (count, 4, 3)), -0.17, 0.17)
+    mesh.add(leaves, materials[0], rng.random(count))
 
 
 SHAPES: dict[str, Builder] = {
