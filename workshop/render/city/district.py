@@ -192,19 +192,8 @@ def _roadside(stage: Stage, block: Block, side: Side, rng: np.random.Generator) 
         stage.put("pole", side.at(spots[k], _CURB_STRIP), side.yaw)
     if wired:
         _wires(stage, side, spots[free[1::7]], rng)
-    small = [
-        "sign0",
-        "sign1",
-        "sign2",
-        "bin",
-        "hydrant",
-        "bicycle",
-        "planter",
-        "bollard",
-        "bench",
-        "kiosk",
-        "shelter",
-    ]
+    small = ["sign0", "sign1", "sign2", "bin", "hydrant", "bicycle"]
+    small += ["planter", "bollard", "bench", "kiosk", "shelter"]
     weights = np.array([1, 1, 1.2, 2.2, 0.7, 2.5, 1.5, 1.2, 1.2, 0.45, 0.5])
     for n, k in enumerate(free):
         if wired and n % 7 == 1:
