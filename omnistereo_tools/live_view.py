@@ -29,7 +29,6 @@ from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
 from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.pictures import FILM, draw_frame, panes
-from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
 _PATIENCE_S = 10.0  # of a browser that neither asks nor reads
@@ -281,10 +280,7 @@ def _play(
             if number % _EQUALISED == 0:
                 gains = estimate_gains(depth)
             now = time.monotonic()
-            note = (
-                f"{method.label}: {1 / (now - before):.1f} frames/s, median"
-                f" {metres(np.nanmedian(depth.depth))}"
-            )
+            note = f"{method.label}: {1 / (now - before):.1f} frames/s"
             before = now
             turn = _TURNS_S * (now - began)
             yield draw_picture(depth, gains, trust(depth), scale, note, turn)

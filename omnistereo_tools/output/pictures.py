@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,11 @@ _SOFT = 0.2  # of trust, from not faded to faded
 FILM = 1920, 1080  # px, of a frame of a film: width, height
 _SHARP = 1280  # px, about, of the panorama that the surfaces in it have their colours from
 _STRIP_PX = 44  # height of the note and the scale below the panoramas
-AWAY, _TILT = 4.5, 0.32  # of its eye: nearest depths from the rig; radians
+# Of its eye: nearest depths from the rig; radians. What lies below ±45° is out of the frame.
+AWAY, _TILT = 2.0, 0.32
 _INK, _STRIPE = (0xE8,) * 3, 0x50
-
+#: DejaVu Sans, in which all pictures are lettered
+FONT = str(distribution("matplotlib").locate_file("matplotlib/mpl-data/fonts/ttf/DejaVuSans.ttf"))
 
 _GPANO = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
@@ -145,4 +148,4 @@ def finer(depth: Depth, width: int) -> int:
 
 
 def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
-    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 26, 400)
+    cv2.putText(picture, text, place, _INK, cv2.FontFace(FONT), 24, 400)
