@@ -69,14 +69,14 @@ def depth_sentences(
     # The nearest of many noisy depths is too near: on full spheres of nine street frames by 10 to
     # 13 %. At the far ends of their bars it was within 6 % (in two rooms still 20, 40 % too near).
     nearest = nearest_depth(depth, keep & ~doubtful, beyond=1.0)
-    found = f"the nearest thing is {metres(nearest)} away"
+    found = f"the nearest sure thing is {metres(nearest)} away"
     if not (keep & ~doubtful).any():
         found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
     share = doubt_shares(depth.depth, doubtful)[0]
     sentences = [
         _one_distance(depth) or verdict(share, depth.grid.width, doubt=doubt),
         (
-            f"{100 * known / rays:.0f} % of {rays} rays have a depth: {found}, "
+            f"{100 * known / rays:.0f} % of {rays} rays have a depth, sure or doubtful: {found}, "
             f"the median depth is {metres(float(np.nanmedian(depth.depth)))}."
         ),
         *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),

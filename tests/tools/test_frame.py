@@ -96,7 +96,8 @@ def test_the_sentences_say_what_was_found(depth):
     truth = depth.depth[depth.valid]
     _, first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0), NOTHING)
     assert re.search(
-        rf"the nearest thing is {nearest_depth(depth, depth.valid):.2g} m away, the median", first
+        rf"the nearest sure thing is {nearest_depth(depth, depth.valid):.2g} m away, the median",
+        first,
     )
     assert f"uses {depth.valid.sum()} rays. Left out: 0 beyond" in second
     nearest = truth.min()
@@ -122,7 +123,7 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
         depth, Limits(1e9, 0.0), depth.depth <= sure
     )
     assert verdict == "Fair: 31 % of rays are doubtful."
-    assert f"the nearest thing is {sure:.2g} m away" in first
+    assert f"the nearest sure thing is {sure:.2g} m away" in first
     assert second.startswith("Of the nearest tenth of rays, up to ")
     assert "100 % are doubtful" in second
     assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
@@ -169,7 +170,7 @@ def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
     result = FrameResult(depth, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)
     _, first, *_, second = result.sentences()
-    assert "the nearest thing is unknown away" not in first and "no ray is within" in first
+    assert "unknown away" not in first and "no ray is within" in first
     assert f"uses 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
     assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()
 
@@ -200,7 +201,7 @@ def test_no_letters_of_the_overview_touch(monkeypatch, pictures, rig, nearest):
     boxes = []
 
     def write(page, place, text, anchor, size=overview._TEXT):
-        font = ImageFont.truetype(page._font, size)
+        font = ImageFont.truetype(overview.FONT, size)
         boxes.append((text, page._draw.textbbox(place, text, font, anchor)))
         return int(boxes[-1][1][3])
 
