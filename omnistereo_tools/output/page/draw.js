@@ -9,7 +9,7 @@ const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.ab
 // A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
 // NAMING writes the number of the ray in place of its colour; MIXED shows depth in the picture; THIN leaves out rays
 // that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS are discs
-// of one colour each. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2
+// around the rays. BESIDE: whether a place shows another run. LAYER is 0 for the estimated depth, 1 for the exact one, 2
 // for the error, 3 for the difference from the other run.
 // What nothing is drawn on, in any colour scheme: dark, since between points and surfaces anything bright would dazzle.
 const GROUND = 0.125;
@@ -65,8 +65,9 @@ vec4 shade(vec2 at, vec3 picked, bool fades) {
 #ifdef MIXED
   vec3 found = surfaces(at, LAYER == 1, picked);
   vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
-  // Half blended, the picture keeps most of its light: what is far is dark in the colours of depth.
-  seen = min(seen * (1.0 - mixed * mixed) + mix(depth, vec3(dot(depth, vec3(0.3, 0.6, 0.1))), 0.85 * doubt) * mixed, 1.0);
+  // Half blended, what is far keeps the light of the picture: it is dark in the colours of depth.
+  float light = dot(depth, vec3(0.3, 0.6, 0.1)), much = mixed * mix(smoothstep(0.0, 0.5, light), 1.0, mixed * mixed);
+  seen = min(seen * (1.0 - much * much) + mix(depth, vec3(light), 0.85 * doubt) * much, 1.0);
 #endif
   if (fades) seen = mix(seen, mix(vec3(dot(seen, vec3(0.3, 0.6, 0.1))), vec3(GROUND), 0.4), 0.85 * doubt);
 #ifdef THIN
@@ -147,9 +148,9 @@ const OUTSIDE = {
       // A disc on the surface around each ray, as large as it touches the next ones; what is left between them is darker.
       vec2 ray = floor(at) + 0.5;
       float here = texelFetch(rays, ivec2(mod(ray.x, size.x), clamp(ray.y, 0.0, size.y - 1.0)), 0).x;
-      float many = max(length(dFdx(at)), length(dFdy(at))), between = smoothstep(0.4, 0.5, length(at - ray)) * (1.0 - smoothstep(0.02, 0.08, many));
+      float many = max(length(dFdx(at)), length(dFdy(at))), between = smoothstep(0.3, 0.6, length(at - ray)) * (1.0 - smoothstep(0.1, 0.35, many));
       bool same = max(here, depth) <= ${EDGE} * min(here, depth) || abs(here - depth) <= edge;
-      vec4 tint = shade(ray, textureLod(picture, ray / size, log2(float(textureSize(picture, 0).x) / size.x)).rgb, true);
+      vec4 tint = shade(ray, texture(picture, at / size).rgb, true);
       if (!same || depth < nearest || tint.a < 0.02) discard;
       tint.rgb *= 1.0 - 0.35 * between;
 #endif

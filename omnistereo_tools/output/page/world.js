@@ -330,7 +330,7 @@ canvas.addEventListener("keydown", e => {
 (async () => {
   $("title").textContent = D.title;
   $("words").textContent = D.words;
-  $("told").textContent = `Drag to look around, wheel or pinch to come closer. ${PRESS} a place to measure.`;
+  $("told").textContent = `Drag to look around, ${PRESS === "Tap" ? "" : "wheel or "}pinch to come closer. ${PRESS} a place to measure.`;
   const gl = canvas.getContext("webgl2", { alpha: false });
   if (!gl) {
     $("title").textContent = "This browser has no WebGL 2, which the surface needs. mesh.glb, beside this page, opens in other programs.";
