@@ -153,7 +153,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     with_corners = not (detected and out.samefile(folder))
     next_places = []
     for name, one, lens in zip(cameras, reports, lenses, strict=True):
-        save_figure(out / f"report_{name}.png", calibration_figure(one, lens, name), dpi=80)
+        save_figure(out / f"report_{name}.png", calibration_figure(one, lens, name), dpi=120)
         if place := where_next(one, lens):
             next_places.append(f"{name} {place}")
         if with_corners:  # captures without a board as null

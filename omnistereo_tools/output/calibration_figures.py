@@ -213,7 +213,8 @@ def calibration_figure(
             ax.set_title("")
             ax.set_title(quantity, loc="left", pad=26)
         if name and camera is not None:
-            figure.suptitle("\n".join(verdict(report, camera, name)), fontsize=16)
+            lines = "\n".join(verdict(report, camera, name))
+            figure.suptitle(lines, x=0.02, ha="left", linespacing=1.4)
     return figure
 
 
