@@ -104,7 +104,7 @@ DEAF = "while True:\n    try:\n        time.sleep(99)\n    except BaseException:
 WRONG = "def zncc(a, b):\n    return (1 - nb04.zncc(a, b)) / 2"
 SLOW = "def winner(*arguments):\n    time.sleep(99)"
 EATEN = "eaten = [b'x' * 2**20 * n for n in range(10**6)]"
-FORKS = "for _ in range(8):\n    os.fork()\ntime.sleep(99)"
+FORKS = "for _ in range(5):\n    os.fork()\ntime.sleep(99)"
 BROKEN = "raise ValueError('\\ud83d\\x1b[2J')"
 LEFT = """import atexit, threading
 for _ in range(3000):
@@ -140,7 +140,7 @@ ACCIDENTS = {
     "writes over it": ("zncc = None", "tried", ""),
     "eats": (EATEN, "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
     "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 15 s"),
-    "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 99 processes"),
+    "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 20 processes"),
     "dies": (
         "os.kill(os.getpid(), 9)",
         "judged",
@@ -197,7 +197,7 @@ def checked(tmp_path_factory):
         patch.setattr(student, "COPIED", SMALL)
         # Their own /tmp would hide the log and the environment of these tests.
         patch.setattr(student, "private", lambda folder: [])
-        patch.setattr(student, "MAX_PROCESSES", 99)
+        patch.setattr(student, "MAX_PROCESSES", 20)
         patch.setattr(handin, "ANSWER_S", 3)
         patch.setattr(handin, "ENVIRONMENT", [environment])
         assert (
