@@ -2,24 +2,28 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from omnistereo_lib import reference
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels import correlation_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
+from omnistereo_lib.stereo.threads import map_threads
 
 # Columns and spheres of the volume on which the shipped network was trained.
 COARSE = 160, 32
 # Columns and spheres of the finer volume, at most.
 FINER = 320, 48
-# Columns that are projected at a time.
-_COLUMNS = 16
+# Columns that a thread projects at a time: so few that torch divides them no further.
+_COLUMNS = 2
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
@@ -51,6 +55,33 @@ def pixels_per_degree(size: tuple[int, int, int]) -> float:
     return 4 * size[0] / 360
 
 
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Where the cells of a volume land on the feature map of a camera, by columns, (W, H, N, 2)."""
+
+    camera: OcamCamera
+    T_cam_rig: Pose
+    rays: Tensor  # (W, H, 3)
+    inverse_depth: Tensor  # (N, 1), or one for each ray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of all columns."""
+        return *self.rays.shape[:2], len(self.inverse_depth), 2
+
+    def __getitem__(self, columns: Any) -> Tensor:
+        """Compute some columns: feature pixels, NaN where unseen."""
+        rays = self.rays[columns]
+        R, t = (
+            torch.tensor(a, dtype=torch.float32, device=rays.device)
+            for a in (self.T_cam_rig.R, self.T_cam_rig.t)
+        )
+        # R ρ + d t has the direction of the point ρ/d in the camera's frame, as in the sweep.
+        uv, visible = self.camera.project((rays @ R.T)[:, :, None] + self.inverse_depth * t)
+        # A feature map has every second pixel of its image.
+        return torch.where(visible[..., None], uv / 2, torch.nan)
+
+
 def feature_coordinates(
     rig: Rig, grid: SphereGrid, size: tuple[int, int, int], device: torch.device | str = "cpu"
 ) -> list[Tensor]:
@@ -63,14 +94,16 @@ def feature_coordinates(
     Returns:
         list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where unseen.
     """
-    rays, inverse_depth = volume_cells(grid, size)
-    coordinates = [torch.empty(*size, 2, device=device) for _ in rig.cameras]
-    # Some columns at a time: what projecting them takes is four times as large as the result.
-    for columns in torch.arange(size[0]).split(_COLUMNS):
-        parts = project_cells(rig, rays[columns].to(device), inverse_depth.to(device))
-        for of_camera, part in zip(coordinates, parts, strict=True):
-            of_camera[columns] = part
-    return coordinates
+    rays, inverse_depth = (cells.to(device) for cells in volume_cells(grid, size))
+    coordinates = coordinates_of(rig, rays, inverse_depth)
+    tables = [torch.empty(*size, 2, device=device) for _ in coordinates]
+
+    def fill(columns: Tensor) -> None:
+        for table, of_camera in zip(tables, coordinates, strict=True):
+            table[columns] = of_camera[columns]
+
+    list(map_threads(fill, torch.arange(size[0]).split(_COLUMNS)))
+    return tables
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
@@ -84,33 +117,31 @@ def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, 
     return rays, torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
 
 
+def coordinates_of(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Coordinates]:
+    """Return the coordinates of the cells of `volume_cells`, for each camera."""
+    poses = (pose.inverse() for pose in rig.T_rig_cam)
+    pairs = zip(rig.cameras, poses, strict=True)
+    return [Coordinates(camera, pose, rays, inverse_depth) for camera, pose in pairs]
+
+
 def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]:
-    """Return what `feature_coordinates` does for the cells of `volume_cells`."""
-    coordinates = []
-    for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
-        T_cam_rig = pose.inverse()
-        R, t = (
-            torch.tensor(a, dtype=torch.float32, device=rays.device)
-            for a in (T_cam_rig.R, T_cam_rig.t)
-        )
-        # R ρ + d t has the direction of the point ρ/d in the camera's frame, as in the sweep.
-        uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
-        # A feature map has every second pixel of its image.
-        coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))
-    return coordinates
+    """Return all columns of `coordinates_of`."""
+    return [of_camera[:] for of_camera in coordinates_of(rig, rays, inverse_depth)]
 
 
-def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+def correlate(
+    features: Sequence[Tensor], coordinates: Sequence[Tensor] | Sequence[Coordinates]
+) -> Tensor:
     """Correlate the features of the cameras that see a cell, in groups of channels: `reference`.
 
     Args:
         features: one tensor per camera, shape (32, h, w)
-        coordinates (one tensor per camera, shape (W, H, N, 2)): See `feature_coordinates`.
+        coordinates (one per camera, shape (W, H, N, 2)): See `feature_coordinates`.
 
     Returns:
         tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4, where k is the
             number of cameras to which the cell is visible.
     """
     if features[0].device.type != "cpu":
-        return reference.correlate(features, coordinates, GROUPS)
+        return reference.correlate(features, [uv[:] for uv in coordinates], GROUPS)
     return correlation_numba.correlate(features, coordinates)

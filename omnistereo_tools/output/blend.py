@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -24,6 +24,7 @@ from omnistereo_tools.output.mesh_export import is_connected
 DARKEST, BRIGHTEST = 6, 249  # gray values; below and above, a sensor is blind
 _FEWEST = 200  # rays that two cameras share; fewer do not tell how bright they are
 _LARGEST_GAIN = 2.0
+_STRIPS = 16
 
 
 def estimate_gains(depth: Depth) -> NDArray[np.float64]:
@@ -77,42 +78,53 @@ def blended_panoramas(
 ) -> list[NDArray[np.float32]]:
     """Return what `blended_panorama` does for several factors, the images weighted once."""
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
-    cameras = depth.sweep.rig.cameras
-    weights = depth.sweep.keep("weights", lambda: [*map_threads(_distance_from_rim, cameras)])
-    totals: list[Any] = [np.float32(0)] * len(factors)
-    no_second: Any = None  # see `remap`
     rig, grid = depth.sweep.rig, depth.grid
+    weights = depth.sweep.keep("weights", lambda: [*map_threads(_distance_from_rim, rig.cameras)])
+    # Σ weight · colour, and Σ weight
+    sizes = [(f * grid.height, f * grid.width, gains.shape[1] + 1) for f in factors]
+    totals = [np.zeros(size, np.float32) for size in sizes]
+    no_second: Any = None  # see `remap`
     # In float32, by torch: three times as fast as `project_sphere`.
     rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(grid.rays()).float())
     coarse = _project(rig, rays, depth.inverse_depth)
-    places = zip(*(_pixels(depth, coarse, factor) for factor in factors), strict=True)
-    for maps, weight, image, gain in zip(places, weights, depth.images, gains, strict=True):
+    places = [_pixels(depth, coarse, factor) for factor in factors]
+    for k, (weight, image, gain) in enumerate(zip(weights, depth.images, gains, strict=True)):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         shares = np.dstack([bright * weight, weight])
-        for k, one in enumerate(maps):
-            totals[k] += cv2.remap(shares, one, no_second, cv2.INTER_LINEAR)
+        for total, maps_of in zip(totals, places, strict=True):
+            for sums, maps in zip(strips(total), strips(maps_of(k)), strict=True):
+                sums += cv2.remap(shares, maps, no_second, cv2.INTER_LINEAR)
     return [*map(_divided, totals)]
 
 
+def strips(panorama: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return views of some rows each: temporary arrays of the whole would take 0.2 GB."""
+    return np.array_split(panorama, _STRIPS)
+
+
 def _divided(total: NDArray[np.float32]) -> NDArray[np.float32]:
-    *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
-    with np.errstate(invalid="ignore"):
-        return np.asarray(cv2.merge([(color / sums).clip(0, 255) for color in colors]), np.float32)
+    """Return Σ weight · colour / Σ weight: (H, W, C), or (H, W) of one channel."""
+    blended = np.empty((*total.shape[:2], total.shape[2] - 1), np.float32)
+    for out, sums in zip(strips(blended), strips(total), strict=True):
+        *colors, weight = cv2.split(sums)  # NumPy is slow across interleaved channels
+        with np.errstate(invalid="ignore"):
+            for k, color in enumerate(colors):
+                np.divide(color, weight, out=color).clip(0, 255, out=out[..., k])
+    return blended if blended.shape[2] > 1 else blended[..., 0]
 
 
 def _pixels(
     depth: Depth, coarse: list[NDArray[np.float32]], factor: int
-) -> Iterator[NDArray[np.float32]]:
-    """Yield where each camera sees the points of the rays, (factor H, factor W, 2) in pixels, given
-    these for a factor of 1.
+) -> Callable[[int], NDArray[np.float32]]:
+    """Return what gives where camera k sees the points of the rays, (factor H, factor W, 2) in
+    pixels, given these for a factor of 1.
 
     Within a surface pixels are interpolated, too, since to project all places would take as long as
     to find the depth.
     """
     rig, grid = depth.sweep.rig, depth.grid
     if factor == 1:
-        yield from coarse
-        return
+        return coarse.__getitem__
     index, (rows, columns) = finer_index(depth, factor)
     fine = replace(grid, width=factor * grid.width, height=factor * grid.height)
     theta, phi = fine.thetas()[columns], fine.phis()[rows]
@@ -121,10 +133,13 @@ def _pixels(
     )
     inverse_depth = grid.index_to_inverse_depth(index[rows, columns])
     at_edges = _project(rig, torch.from_numpy(directions[None]).float(), inverse_depth[None])
-    for maps, exact in zip(coarse, at_edges, strict=True):
-        enlarged = _enlarge(_pad(maps), factor)
-        enlarged[rows, columns] = exact[0]
-        yield enlarged
+
+    def enlarged(k: int) -> NDArray[np.float32]:
+        maps = _enlarge(_pad(coarse[k]), factor)
+        maps[rows, columns] = at_edges[k][0]
+        return maps
+
+    return enlarged
 
 
 def _project(rig: Rig, rays: Tensor, inverse_depth: NDArray[Any]) -> list[NDArray[np.float32]]:

@@ -15,7 +15,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
-from omnistereo_tools.output.blend import blended_panorama, finer_index
+from omnistereo_tools.output.blend import blended_panorama, finer_index, strips
 from omnistereo_tools.output.colors import BACKGROUND, ColorScale
 from omnistereo_tools.output.render import around, draw_surfaces
 
@@ -52,7 +52,8 @@ def sharp_panorama(
 
 def as_picture(blended: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return a blended panorama as uint8 RGB; unknown is black."""
-    pixels = np.nan_to_num(blended).round().astype(np.uint8)
+    parts = [np.nan_to_num(rows).round().astype(np.uint8) for rows in strips(blended)]
+    pixels = np.concatenate(parts)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 

@@ -31,33 +31,33 @@ def normalize(maps: Tensor, visible: Tensor) -> Tensor:
     return torch.from_numpy(out).view(*maps.shape[1:], -1).permute(2, 0, 1)
 
 
-def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+def correlate(features: Sequence[Tensor], coordinates: Sequence[Any]) -> Tensor:
     """Return `reference.correlate` of features (32, h, w), in eight groups, with its gradient."""
     # Channels last: the 32 features of a pixel are read together.
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
-    volume = _CellCorrelation.apply([uv.reshape(-1, 2) for uv in coordinates], *maps)
-    return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
+    return _CellCorrelation.apply(coordinates, *maps).permute(3, 0, 1, 2)
 
 
 class _CellCorrelation(torch.autograd.Function):
     """The loops over the cells, as an operation that has a gradient."""
 
     @staticmethod
-    def forward(ctx: Any, uv: list[Tensor], *maps: Tensor) -> Tensor:
-        """Return the cells (cells, 9), given features (h, w, 32) and places (cells, 2)."""
+    def forward(ctx: Any, uv: Sequence[Any], *maps: Tensor) -> Tensor:
+        """Return the cells (W, H, N, 9), given features (h, w, 32) and places (W, H, N, 2)."""
         # All feature maps in one table, one pixel a row; Σ f_i is kept for a gradient alone.
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
-        size, trains = len(uv[0]), any(ctx.needs_input_grad)
-        volume = torch.empty(size, GROUPS + 1, dtype=torch.float32)
-        totals = torch.empty(size if trains else 0, CHANNELS, dtype=torch.float32)
+        size, trains = uv[0].shape[:3], any(ctx.needs_input_grad)
+        volume = torch.empty(*size, GROUPS + 1, dtype=torch.float32)
+        totals = torch.empty(*(size if trains else (0, 0, 0)), CHANNELS, dtype=torch.float32)
 
-        def correlate_part(start: int) -> None:
-            cells = slice(start, start + _CELLS)
-            places = np.stack([of_camera[cells].numpy() for of_camera in uv])
-            _correlate_cells(table, sizes, places, volume[cells].numpy(), totals[cells].numpy())
+        def correlate_part(columns: slice) -> None:
+            places = np.stack([of_camera[columns].reshape(-1, 2).numpy() for of_camera in uv])
+            parts = (one[columns].reshape(-1, one.shape[-1]).numpy() for one in (volume, totals))
+            _correlate_cells(table, sizes, places, *parts)
 
-        list(map_threads(correlate_part, range(0, size, _CELLS)))
+        each = max(1, _CELLS // max(1, size[1] * size[2]))
+        list(map_threads(correlate_part, [slice(x, x + each) for x in range(0, size[0], each)]))
         ctx.uv = uv
         ctx.save_for_backward(totals, volume, *maps)
         return volume
@@ -66,13 +66,15 @@ class _CellCorrelation(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back."""
         totals, volume, *maps = ctx.saved_tensors
+        totals, volume, grad = (one.reshape(-1, one.shape[-1]) for one in (totals, volume, grad))
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
         # The last number of a cell is k / 4, and the others were divided by k (k - 1).
         k = 4 * volume[:, GROUPS:]
         of_products = (grad[:, :GROUPS] / (k * (k - 1)).clamp(min=1)).contiguous()
 
         def scatter(camera: int) -> None:
-            arrays = maps[camera].detach(), ctx.uv[camera], totals, of_products, grads[camera]
+            uv = ctx.uv[camera].reshape(-1, 2)
+            arrays = maps[camera].detach(), uv, totals, of_products, grads[camera]
             _scatter_gradient(*(array.numpy() for array in arrays))
 
         list(map_threads(scatter, range(len(maps))))

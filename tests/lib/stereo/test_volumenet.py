@@ -11,7 +11,13 @@ from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
-from omnistereo_lib.stereo.correlation import correlate, feature_coordinates, volume_sizes
+from omnistereo_lib.stereo.correlation import (
+    coordinates_of,
+    correlate,
+    feature_coordinates,
+    volume_cells,
+    volume_sizes,
+)
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -100,6 +106,15 @@ def test_cells_land_on_the_features_of_their_points():
             found = uv[column, row, sphere].numpy()
             assert np.isfinite(found).all() == visible
             assert not visible or np.abs(2 * found - pixel).max() < 2e-3
+
+
+def test_coordinates_computed_as_they_are_read_are_those_of_the_tables():
+    rig = scene.rig(cameras=3).recentered()
+    grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6)
+    maps = [torch.randn(32, camera.image_size[1] // 2, 90) for camera in rig.cameras]
+    read = coordinates_of(rig, *volume_cells(grid, (40, 16, 8)))
+    tables = feature_coordinates(rig, grid, (40, 16, 8))
+    assert torch.allclose(correlate(maps, read), correlate(maps, tables), atol=1e-4)
 
 
 def test_the_volume_has_no_seam(network):
