@@ -21,6 +21,7 @@ from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
+    from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.pose import Pose
     from omnistereo_tools.world.build import RecordedFrames
     from omnistereo_tools.world.fusion import Volume
@@ -75,9 +76,8 @@ def run(options: WorldOptions) -> None:
         warn_of(f"frame {frame.number}: {doubt}" for doubt in image_doubts(frame, frames.grid))
     poses = frames.find_poses(out / "steps.json")
     volume = _make_volume(options, frames, poses)
-    frames.integrate(volume, poses)
-    moving = frames.refine(volume, poses, refined)
-    frames.integrate(volume, poses, moving)
+    views = frames.integrate(volume, poses)
+    frames.take_out(volume, views, frames.refine(volume, poses, refined))
     _write(options, frames, poses, volume, refined)
     written = {str(path.relative_to(out)): checksum(read_bytes(path)) for path in _results(out)}
     write_text(out / "world.json", json.dumps(asked | {"outputs": written}, indent=1) + "\n")
@@ -128,7 +128,9 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
         raise OmnistereoError(
             f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range"
         )
-    need, free = bytes_needed(keys, frames.channels), available_memory(select_device("cpu"))
+    of_views = 4 * (2 + frames.channels) * len(poses) * np.prod(frames.grid.shape)
+    need = bytes_needed(keys, frames.channels) + int(of_views)
+    free = available_memory(select_device("cpu"))
     if need > free:
         raise OmnistereoError(
             f"not enough memory: needs {need / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free. "
@@ -209,10 +211,12 @@ def _page_views(frames: RecordedFrames, poses: dict[int, Pose], refined: Path) -
     from omnistereo_tools.output.pictures import sharp_panorama
     from omnistereo_tools.world.page import MOST_VIEWS, VIEW_WIDTH, PageView
 
-    numbers, views = list(poses), list[PageView]()
-    for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_VIEWS).astype(int)):
-        number = numbers[k]
-        frame, after = frames.data.frame(number), read_inverse_depth(refined / f"{number:05}.tiff")
+    def page_view(frame: Frame, pose: Pose) -> PageView:
+        after = read_inverse_depth(refined / f"{frame.number:05}.tiff")
         panorama = sharp_panorama(frames.depth(frame, after), VIEW_WIDTH)
-        views.append(PageView(number, poses[number], panorama, frame.inverse_depth, after))
-    return views
+        return PageView(frame.number, pose, panorama, frame.inverse_depth, after)
+
+    numbers = list(poses)
+    some = np.unique(np.linspace(0, len(numbers) - 1, MOST_VIEWS).astype(int))
+    chosen = {numbers[k]: poses[numbers[k]] for k in some}
+    return [view for _, view in frames.each("drawing", chosen, page_view)]

@@ -21,13 +21,13 @@ The world has the axes of the rig in its first frame: x right, y down, z forward
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,7 @@ _JUMP, _BETWEEN = 2.5, 1.2  # of the median step; of a step, by way of another f
 _LOOP = 4.0  # a way of more times the distance, and of more metres, comes back
 _ROUNDING = 1.001  # times the most that a recording stores
 _LOST = 3  # frames without a sure step, after which the path begins anew
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +178,11 @@ class RecordedFrames:
         if frame.rig is self.data.rig:
             return self.sweep
         key = rig_checksum(frame.rig)
-        if key not in self._turned:
+        if (sweep := self._turned.get(key)) is None:
+            sweep = self.sweep.with_poses(frame.rig.T_rig_cam)
             self._turned.clear()
-            self._turned[key] = self.sweep.with_poses(frame.rig.T_rig_cam)
-        return self._turned[key]
+            self._turned[key] = sweep
+        return sweep
 
     @cached_property
     def _turned(self) -> dict[str, SphereSweep]:
@@ -327,44 +329,54 @@ class RecordedFrames:
             )
         return poses
 
-    def integrate(
-        self,
-        volume: Volume,
-        poses: dict[int, Pose],
-        moving: dict[int, NDArray[np.bool_]] | None = None,
-    ) -> None:
-        """Fuse the frames, or take the rays that move, (H, W) of each, out of the volume again."""
-        progress = progress_bar("frame")
-        for done, (number, pose) in enumerate(poses.items()):
-            progress(
-                done,
-                len(poses),
-                f"{'fusing' if moving is None else 'taking out what moves'}, frame {number}",
-            )
-            view = self.view(self.data.frame(number), pose)
-            if moving is not None:
-                view = replace(view, weight=np.where(moving[number], -view.weight, 0))
+    def integrate(self, volume: Volume, poses: dict[int, Pose]) -> dict[int, View]:
+        """Fuse the frames; return what each knows."""
+        views = dict[int, View]()
+        for number, view in self.each("fusing", poses, self.view):
             volume.integrate(view, self.grid)
-        progress(len(poses), len(poses), "")
+            views[number] = view
+        return views
+
+    def take_out(
+        self, volume: Volume, views: dict[int, View], moving: dict[int, NDArray[np.bool_]]
+    ) -> None:
+        """Take the rays that move, (H, W) of each frame, out of the volume again."""
+        progress = progress_bar("frame")
+        for done, (number, view) in enumerate(views.items()):
+            progress(done, len(views), f"taking out what moves, frame {number}")
+            weight = np.where(moving[number], -view.weight, 0)
+            volume.integrate(replace(view, weight=weight), self.grid)
+        progress(len(views), len(views), "")
 
     def refine(
         self, volume: Volume, poses: dict[int, Pose], out: Path
     ) -> dict[int, NDArray[np.bool_]]:
         """Write the depth of all frames as fused; return the rays that move, (H, W) of each."""
-        progress, rays = progress_bar("frame"), self.grid.rays()
-        moving: dict[int, NDArray[np.bool_]] = {}
+        rays = self.grid.rays()
         for path in make_folder(out).glob("*.tiff"):
             path.unlink()
-        for done, (number, pose) in enumerate(poses.items()):
-            progress(done, len(poses), f"refining, frame {number}")
-            frame = self.data.frame(number)
+
+        def refine(frame: Frame, pose: Pose) -> NDArray[np.bool_]:
             own = frame.inverse_depth
             fused, remembered = volume.march(pose, rays, _FARTHEST * volume.reach)
             seen = self.panorama(frame, np.where(np.isnan(fused), own, fused))
-            moving[number] = moving_rays(own, fused, seen, remembered, self.grid.step)
-            write_inverse_depth(out / f"{number:05}.tiff", mix(own, fused, moving[number]))
+            moving = moving_rays(own, fused, seen, remembered, self.grid.step)
+            write_inverse_depth(out / f"{frame.number:05}.tiff", mix(own, fused, moving))
+            return moving
+
+        return dict(self.each("refining", poses, refine))
+
+    def each(
+        self, words: str, poses: dict[int, Pose], function: Callable[[Frame, Pose], _Result]
+    ) -> Iterator[tuple[int, _Result]]:
+        """Yield the number of each frame, and what a function returns of it, in two threads."""
+        progress = progress_bar("frame")
+        with ThreadPoolExecutor(2) as pool:
+            found = pool.map(lambda number: function(self.data.frame(number), poses[number]), poses)
+            for done, (number, result) in enumerate(zip(poses, found, strict=True)):
+                progress(done, len(poses), f"{words}, frame {number}")
+                yield number, result
         progress(len(poses), len(poses), "")
-        return moving
 
     def link(self, out: Path) -> None:
         """Put the rig and the images beside the refined depth, so that it is a data set."""
