@@ -1,6 +1,7 @@
 """The rig from captures that cameras share: a spanning tree of poses, then one adjustment."""
 
 from collections.abc import Iterator, Sequence, Sized
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import combinations
 
@@ -22,7 +23,12 @@ from omnistereo_rigs.boards.params import (
     collect_observations,
 )
 from omnistereo_rigs.boards.report import CameraReport, RigReport, name_of
-from omnistereo_rigs.boards.single_camera import calibrate_corners, check_settings, read_views
+from omnistereo_rigs.boards.single_camera import (
+    BoardViews,
+    calibrate_corners,
+    check_settings,
+    read_views,
+)
 from omnistereo_rigs.boards.solution import Solution
 
 # Radians between the directions of a corner in two cameras: rough poses are nearer than that, gross
@@ -107,18 +113,27 @@ def calibrate_rig(
             f"there are {len(given)} given cameras for views of {len(views)}. Give one for each"
         )
     # Each camera by itself first: this gives its lens, the pose of the board in each of its views,
-    # and the views that do not fit.
+    # and the views that do not fit. The boards of the next one are found while its lens is.
     detected, single = [], []
-    for i, (row, size, camera) in enumerate(zip(views, sizes, given, strict=True), start=1):
-        try:
-            of_camera = _renamed(progress, f"boards of camera {i} of {len(views)}")
-            found, size, images = read_views(row, board, size, of_camera, names)
-            _check_given(camera, size)
-            report = calibrate_corners(found, size, images, board, degree, max_fov_deg, camera)[1]
-        except OmnistereoError as error:
-            raise OmnistereoError(f"camera {i}: {error}") from error
-        single.append(report)
-        detected.append(found)
+
+    def read(i: int) -> BoardViews:
+        of_camera = _renamed(progress, f"boards of camera {i + 1} of {len(views)}")
+        return read_views(views[i], board, sizes[i], of_camera, names)
+
+    with ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(read, 0)
+        for i, camera in enumerate(given, start=1):
+            try:
+                found, size, images = reading.result()
+                if i < len(views):
+                    reading = pool.submit(read, i)
+                _check_given(camera, size)
+                lens = board, degree, max_fov_deg, camera
+                report = calibrate_corners(found, size, images, *lens)[1]
+            except OmnistereoError as error:
+                raise OmnistereoError(f"camera {i}: {error}") from error
+            single.append(report)
+            detected.append(found)
     # Views that the calibration of a single camera rejected are dropped.
     corners = [
         [view if k in report.views_used else None for k, view in enumerate(row)]

@@ -41,6 +41,9 @@ _ONE_PLACE = 0.5
 # Boards that are all parallel to within this angle leave the focal length open.
 _PARALLEL = np.radians(5.0)
 
+# Corners of each view, the size of the images, and the images if there are some.
+BoardViews = tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]
+
 
 def calibrate_camera(
     views: Sequence[ArrayLike | None],
@@ -154,7 +157,7 @@ def read_views(
     image_size: tuple[int, int] | None,
     progress: Progress = silent,
     names: Sequence[str] | None = None,
-) -> tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]:
+) -> BoardViews:
     """Return the corners of each view, the size of the images, and the images if there are some.
 
     Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come
