@@ -120,10 +120,11 @@ def rotation_from_axis_angle(r: ArrayLike) -> Floats:
 
 
 def nearest_rotation(M: Floats) -> Floats:
-    """Return the rotation nearest to a matrix (3, 3): of a sum of rotations, their mean."""
+    """Return the rotation nearest to a matrix (..., 3, 3): of a sum of rotations, their mean."""
     # With M = U S Vᵀ it is U diag(1, 1, ±1) Vᵀ, with a determinant of 1 (Kabsch 1976).
     U, _, Vt = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
+    U[..., 2] *= np.linalg.det(U @ Vt)[..., None]
+    return np.asarray(U @ Vt, np.float64)
 
 
 def quaternion_pose(q: Floats, t: Floats) -> Pose:

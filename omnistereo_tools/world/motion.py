@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -220,7 +221,14 @@ def _gates(T: Pose, a: _End, center: Floats, gate_deg: float) -> tuple[Floats, F
     return rays, np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
 
 
-def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats]:
+class _Motion(NamedTuple):
+    """A pose that is tried, unchecked."""
+
+    R: Floats
+    t: Floats
+
+
+def _predict(T: Pose | _Motion, a: _End, center: Floats) -> tuple[Floats, Floats]:
     """Return where points of frame a lie as seen from `center` in frame b, times their inverse
     distance in a, and its derivatives by the inverse distance, (M, 3) each.
     """
@@ -237,7 +245,7 @@ def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
     return offset, (b.basis - offset[:, :, None] * seen[:, None]) / length[:, :, None]
 
 
-def _residuals(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
+def _residuals(T: Pose | _Motion, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
     """Return residuals (M, 2) in standard deviations, what whitens them, (M, 2, 2), and a as both
     frames see it.
 
@@ -316,14 +324,16 @@ def _search(matches: _Matches) -> Pose:
     judges = rng.integers(0, len(a.ray), _JUDGES)
     judging = a.select(judges), b.select(judges)
     points, other = a.points(), b.points()
-    tried: list[tuple[float, int, Pose]] = []
-    for k, triple in enumerate(rng.choice(len(near), (_SAMPLES, 3), p=near / near.sum())):
-        x, y = points[triple], other[triple]
-        R = nearest_rotation((x - x.mean(axis=0)).T @ (y - y.mean(axis=0)))
-        T = Pose(R, x.mean(axis=0) - R @ y.mean(axis=0))
+    triples = rng.choice(len(near), (_SAMPLES, 3), p=near / near.sum())
+    x, y = points[triples], other[triples]
+    to, of = x.mean(axis=1), y.mean(axis=1)
+    turns = nearest_rotation(np.swapaxes(x - to[:, None], 1, 2) @ (y - of[:, None]))
+    tried: list[tuple[float, int, _Motion]] = []
+    for k, (R, p, q) in enumerate(zip(turns, to, of, strict=True)):
+        T = _Motion(R, p - R @ q)
         squares = (_residuals(T, *judging)[0] ** 2).sum(axis=1) / 10.0**2
         tried.append((float((squares / (1 + squares)).mean()), k, T))
-    best = (_solve(T, judging, (30.0, 10.0)) for _, _, T in sorted(tried)[:_KEPT])
+    best = (_solve(Pose(*T), judging, (30.0, 10.0)) for _, _, T in sorted(tried)[:_KEPT])
     return min(best, key=lambda found: found[1])[0]
 
 
