@@ -1,6 +1,7 @@
 """Corners of a board as lenses with closed-form projections see them: the truth."""
 
 import numpy as np
+from scene import polar_rays
 
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_rigs.boards.checkerboard import Checkerboard
@@ -33,17 +34,15 @@ def project(points, lens="equidistant 210", center=CENTER):
     return uv, inside & (theta <= np.radians(reach_deg))
 
 
-def somewhere(rng, reach_deg, angle_deg=None, nearest=0.6):
+def somewhere(rng, reach_deg, angle_deg=None):
     """A pose of the board, facing the camera, anywhere in the field of view, tilted every way."""
     angle, azimuth = np.radians(rng.uniform(0, reach_deg)), rng.uniform(0, 2 * np.pi)
     angle = angle if angle_deg is None else np.radians(angle_deg)
-    forward = np.array(
-        [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)]
-    )
+    forward = polar_rays(angle, azimuth)
     right = np.cross([0.0, 1.0, 0.01], forward)
     right /= np.linalg.norm(right)
     # A long lens has to stand back to see all of it.
-    distance = rng.uniform(1, 2) * max(nearest, 0.6 / np.tan(np.radians(min(reach_deg, 45))))
+    distance = rng.uniform(1, 2) * max(0.6, 0.6 / np.tan(np.radians(min(reach_deg, 45))))
     there = Pose(np.column_stack([right, np.cross(forward, right), forward]), distance * forward)
     tilt = Pose.from_vector([*rng.normal(0, 0.4, 2), rng.uniform(-3, 3), 0, 0, 0])
     return there @ tilt @ Pose(np.eye(3), -BOARD.points.mean(axis=0))
@@ -55,9 +54,8 @@ def views(rng, count=24, lens="equidistant 210", noise=0.05):
     while len(corners) < count:
         reach = LENSES[lens][1]
         # As far out as a whole board can be, in turn.
-        pose = somewhere(
-            rng, reach, reach * np.sqrt(rng.uniform(0, 1)) * (len(corners) + 1) / count
-        )
+        angle = reach * np.sqrt(rng.uniform(0, 1)) * (len(corners) + 1) / count
+        pose = somewhere(rng, reach, angle)
         uv, seen = project(pose @ BOARD.points, lens)
         if seen.all() and pose.R[:, 2] @ (pose @ BOARD.points.mean(axis=0)) > 0:
             corners.append(uv + rng.normal(0, noise, uv.shape))
@@ -65,15 +63,12 @@ def views(rng, count=24, lens="equidistant 210", noise=0.05):
     return corners, poses
 
 
-def ray_error_deg(intrinsics, lens="equidistant 210", center=CENTER, reach_deg=None):
+def ray_error_deg(intrinsics, lens="equidistant 210", reach_deg=None):
     """Root mean square angle between the rays of a fitted camera and the lens's own."""
-    theta, azimuth = np.meshgrid(
-        np.radians(np.linspace(1, reach_deg or LENSES[lens][1], 50)), np.arange(24) * np.pi / 12
-    )
-    rays = np.stack(
-        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
-    )
-    uv, seen = project(rays, lens, center)
+    theta = np.radians(np.linspace(1, reach_deg or LENSES[lens][1], 50))
+    theta, azimuth = np.meshgrid(theta, np.arange(24) * np.pi / 12)
+    rays = polar_rays(theta, azimuth)
+    uv, seen = project(rays, lens)
     fitted = intrinsics.rays(uv[seen])
     error = np.arctan2(
         np.linalg.norm(np.cross(fitted, rays[seen]), axis=-1), np.sum(fitted * rays[seen], axis=-1)
@@ -91,7 +86,7 @@ def rig_poses():
     ]
 
 
-def captures(rng, alone=7, shared=5, noise=0.1, turn=True):
+def captures(rng, alone=7, shared=5, noise=0.1):
     """views[camera][capture]: boards before each camera, then between; None if not whole."""
     T_rig_cam = rig_poses()
     headings = [i * np.pi / 2 for i in range(4) for _ in range(alone)]
@@ -99,9 +94,8 @@ def captures(rng, alone=7, shared=5, noise=0.1, turn=True):
     rows = [[] for _ in range(4)]
     for number, heading in enumerate(headings):
         wide = 0.6 if number < 4 * alone else 0.1
-        place = Pose.from_vector([0, heading + rng.normal(0, wide), 0, 0, 0, 0]) @ Pose.from_vector(
-            [rng.normal(0, wide), 0, 0, 0, 0, 0]
-        )
+        place = Pose.from_vector([0, heading + rng.normal(0, wide), 0, 0, 0, 0])
+        place @= Pose.from_vector([rng.normal(0, wide), 0, 0, 0, 0, 0])
         tilt = Pose.from_vector([*rng.normal(0, 0.35, 2), rng.uniform(-3, 3), 0, 0, 0])
         ahead = Pose(np.eye(3), [0, 0, rng.uniform(0.9, 1.2)])
         T_rig_board = place @ ahead @ tilt @ Pose(np.eye(3), -BOARD.points.mean(axis=0))
@@ -111,6 +105,6 @@ def captures(rng, alone=7, shared=5, noise=0.1, turn=True):
             front = T_cam_board.R[:, 2] @ (T_cam_board @ BOARD.points.mean(axis=0)) > 0
             uv = uv + rng.normal(0, noise, uv.shape)
             # Nobody can tell the two ends of this board apart.
-            uv = uv[::-1] if turn and rng.random() < 0.5 else uv
+            uv = uv[::-1] if rng.random() < 0.5 else uv
             row.append(uv if seen.all() and front else None)
     return rows

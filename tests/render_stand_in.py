@@ -38,3 +38,7 @@ def replace_blender(setitem, setattr):
 
     setattr(frames, "_render_frame", render_frame)
     setitem(SETS, "sunny/test", TINY)
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}

@@ -35,6 +35,13 @@ def camera(width=400, height=384, max_fov_deg=220.0, shift=(0.0, 0.0)):
     )
 
 
+def polar_rays(theta, azimuth):
+    """Unit rays (..., 3) at angle θ from the axis; azimuth 0 is +x (right), π/2 is +y (down)."""
+    sine, cosine = np.sin(theta), np.cos(theta)
+    rays = np.broadcast_arrays(sine * np.cos(azimuth), sine * np.sin(azimuth), cosine)
+    return np.stack(rays, -1)
+
+
 def rig(half_baseline=0.3, cameras=4, **lens):
     """Cameras on a circle, looking outwards, each a little turned and off its place."""
     rng = np.random.default_rng(5)

@@ -21,14 +21,7 @@ def test_examples(package, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     value = getattr(package, name)
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
-    runner.run(
-        parser.get_doctest(
-            value.__doc__,
-            {"np": np, "osl": osl, "omnistereo_rigs": omnistereo_rigs},
-            name,
-            value.__module__,
-            None,
-        )
-    )
+    names = {"np": np, "osl": osl, "omnistereo_rigs": omnistereo_rigs}
+    runner.run(parser.get_doctest(value.__doc__, names, name, value.__module__, None))
     assert runner.failures == 0
     assert runner.tries > 0, f"{name} has no example"

@@ -39,55 +39,18 @@ from omnistereo_tools.live_view import Latest, LivePicture, serve
 MEMORY = 1 << 30
 pytestmark = pytest.mark.nightly
 FILES = int(os.environ.get("FUZZ", "50"))
-WORDS = [
-    "nan",
-    ".nan",
-    "inf",
-    "-.inf",
-    "1e308",
-    "-1e308",
-    "1e30",
-    "0",
-    "-1",
-    "2.5",
-    "abc",
-    "[]",
-    "{}",
-    "null",
-    "true",
-    "*a",
-    "&a",
-    '"',
-    "³",
-    "\ufeff",
-    "!!python/name:os",
-    "2020-99-99",
-]
-WORDS += ["", "9" * 400, "\t", "a: b"]
-VALUES = [
-    None,
-    True,
-    0,
-    -1,
-    1e308,
-    -1e308,
-    1e30,
-    float("nan"),
-    float("inf"),
-    10**30,
-    2.5,
-    "",
-    "abc",
-]
-VALUES += [[], {}, [[]], [1], {"a": 1}, [[[[1]]]], "../x", "/dev/zero", "I32"]
+NUMBERS = [0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 2.5]
+WORDS = [*map(str, NUMBERS), ".nan", "-.inf", "abc", "[]", "{}", "null", "true", "*a", "&a", '"']
+WORDS += ["³", "\ufeff", "!!python/name:os", "2020-99-99", "", "9" * 400, "\t", "a: b"]
+VALUES = [*NUMBERS, None, True, 10**30, "", "abc", [], {}, [[]], [1], {"a": 1}, [[[[1]]]]]
+VALUES += ["../x", "/dev/zero", "I32"]
 
 
 def damage(content, rng):
     """Change the content of a file at random: values of JSON, words, lines or bytes."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        content = rng.choice(
-            (_change_value, _change_word, _change_word, _change_line, _change_bytes)
-        )(content, rng)
+        ways = _change_value, _change_word, _change_word, _change_line, _change_bytes
+        content = rng.choice(ways)(content, rng)
     return content
 
 
@@ -225,9 +188,7 @@ def samples(folder):
     found["in lines"] = ("config.yaml", yaml.safe_dump(omnimvs()), read_any_rig, check_rig)
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
     found |= tensors(folder) | records() | netpbm() | hand_in()
-    return {
-        name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()
-    }
+    return {name: (*sample, damage)[:5] for name, sample in found.items()}
 
 
 def in_metres(path):
@@ -285,15 +246,8 @@ def tensors(folder):
     network = osl.MCCNN()
     network.save(folder / "weights.safetensors", recipe=RECIPE.as_dict())
     content = (folder / "weights.safetensors").read_bytes()
-    found = {
-        "weights": (
-            "weights.safetensors",
-            content,
-            osl.MCCNN.from_file,
-            check_network,
-            damage_tensors,
-        )
-    }
+    checked = osl.MCCNN.from_file, check_network, damage_tensors
+    found = {"weights": ("weights.safetensors", content, *checked)}
     run = _Run.__new__(_Run)  # without data
     run.recipe, run.network, run.init_sha256 = RECIPE, network, None
     run.samples, run.precision = SimpleNamespace(metadata={"sha256": "0"}), "float32"

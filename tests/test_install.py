@@ -54,16 +54,9 @@ def test_what_is_in_the_wheel(installed):
     )
 
 
-PINS = dict(
-    re.findall(
-        r"^([\w.-]+)==(\S+)",
-        "".join(
-            (ROOT / name).read_text()
-            for name in ("environment.txt", "environment-dev.txt", "constraints.txt")
-        ),
-        re.M,
-    )
-)
+FILES = ("environment.txt", "environment-dev.txt", "constraints.txt")
+PINNED = "".join((ROOT / name).read_text() for name in FILES)
+PINS = dict(re.findall(r"^([\w.-]+)==(\S+)", PINNED, re.M))
 
 
 def test_every_pin_can_be_installed_on_the_oldest_python():

@@ -281,15 +281,10 @@ def _choose_boards(folder, name):
     (folder / "boards").symlink_to(folder / name)
 
 
-@pytest.mark.parametrize(
-    ("line", "advice"),
-    [
-        ("omnistereo rig opencv.yaml own.yaml", "--unit m"),
-    ],
-)
-def test_an_error_says_what_to_type(line, advice, run, files, tmp_path):
+def test_an_error_says_what_to_type(run, files, tmp_path):
     folder = shutil.copytree(files, tmp_path / "empty", symlinks=True)
+    line = "omnistereo rig opencv.yaml own.yaml"
     status, said = run(line, folder)
-    assert status == 2 and advice.split()[0] in said, said
-    status, said = run(f"{line} {advice}", folder)
+    assert status == 2 and "--unit" in said, said
+    status, said = run(f"{line} --unit m", folder)
     assert status == 0, said

@@ -205,10 +205,7 @@ def test_folders_and_endless_worlds_are_mixed_by_weight(data, undrawn):
     assert samples.training_frame(0) in samples.training
     assert samples.validation_frame(0) in samples.validation
     training, validation = samples.training_frame(2), samples.validation_frame(1)
-    assert (training.number, validation.number) == (
-        1,
-        0,
-    )
+    assert (training.number, validation.number) == (1, 0)
     assert training.rig == TINY.seed != validation.rig
     assert samples.metadata["folder"].startswith("endless, ") and samples.metadata["frames"] == 4
 

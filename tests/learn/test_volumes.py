@@ -60,12 +60,8 @@ def test_the_ground_truth_turns_with_the_grid(data, monkeypatch):
     for seed in (3, 4, 5):
         turned = fine._sample(frame, np.random.default_rng(seed))
         elsewhere = replace(turned, index=turned.index.roll(32, 0))
-        assert (
-            abs(_spread(pictures, turned) - straight)
-            < 0.3
-            < 0.5
-            < _spread(pictures, elsewhere) - straight
-        )
+        assert abs(_spread(pictures, turned) - straight) < 0.3
+        assert _spread(pictures, elsewhere) - straight > 0.5
 
 
 def _spread(pictures, sample):
@@ -77,13 +73,8 @@ def _spread(pictures, sample):
     for picture, coordinates in zip(pictures, sample.coordinates, strict=True):
         uv = (2 * coordinates.gather(2, cell)[:, :, 0]).round()
         column, row = uv.nan_to_num(0).long().unbind(-1)
-        values.append(
-            np.where(
-                uv.isfinite().all(-1) & half.isfinite(),
-                picture[row.numpy(), column.numpy()],
-                np.nan,
-            )
-        )
+        known = uv.isfinite().all(-1) & half.isfinite()
+        values.append(np.where(known, picture[row.numpy(), column.numpy()], np.nan))
     shared = np.isfinite(values).sum(0) > 1
     assert shared.mean() > 0.4
     return np.median(np.nanstd(np.array(values)[:, shared], 0))
@@ -111,13 +102,8 @@ def test_the_loss_is_the_cross_entropy_of_the_two_nearest_spheres():
 
 def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, same_batch):
     rows = []
-    train(
-        replace(TINY, steps=6, validate_every=6),
-        tmp_path,
-        data,
-        precision="float32",
-        on_step=rows.append,
-    )
+    recipe = replace(TINY, steps=6, validate_every=6)
+    train(recipe, tmp_path, data, precision="float32", on_step=rows.append)
     assert rows[-1]["loss"] < 0.8 * rows[0]["loss"]
 
 

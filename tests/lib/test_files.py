@@ -185,13 +185,7 @@ def test_the_old_file_stays_when_writing_fails(tmp_path):
 
 def test_what_killed_processes_have_left_is_removed_after_an_hour(tmp_path):
     left = f".{'0a' * 8}.[a].txt"
-    others = [
-        f".{'0a' * 8}.b.txt",
-        f".{'0a' * 8}.[a].txt.bak",
-        f"{'0a' * 8}.[a].txt",
-        ".x.[a].txt",
-        ".[a].txt",
-    ]
+    others = [f".{'0a' * 8}.b.txt", f"{left}.bak", left[1:], ".x.[a].txt", ".[a].txt"]
     for name in [*others, left]:
         (tmp_path / name).write_text("left")
     for age, expected in ((-9000, {*others, left}), (99, {*others, left}), (4000, {*others})):

@@ -20,10 +20,7 @@ CAMERA = scene.camera(width=200, height=192)
 def seen(keep):
     """A report on corners in all directions in view for which `keep` (angle, azimuth) holds."""
     theta, azimuth = np.meshgrid(np.radians(np.arange(2, 109, 2)), np.radians(np.arange(0, 360, 5)))
-    rays = np.stack(
-        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], -1
-    )
-    pixels, valid = CAMERA.project(rays)
+    pixels, valid = CAMERA.project(scene.polar_rays(theta, azimuth))
     chosen = valid & keep(np.degrees(theta), np.degrees(azimuth))
     report = SimpleNamespace(views_used=[0], corners={0: pixels[chosen]}, angles={0: theta[chosen]})
     report.max_corner_angle_deg = 109.0

@@ -70,13 +70,9 @@ def test_depth_without_torch(exported, rig, tmp_path):
         color = np.stack([picture, 0.5 * picture, 255 - picture], -1).astype(np.uint8)
         images.append(color)
         write_image(tmp_path / f"{k}.png", color)
-    words = [
-        exported / "run_onnx.py",
-        *(tmp_path / f"{k}.png" for k in range(4)),
-        "--out",
-        tmp_path / "a.npy",
-    ]
-    subprocess.run([sys.executable, "-c", ALONE, *words], check=True)
+    words = [exported / "run_onnx.py", *(tmp_path / f"{k}.png" for k in range(4))]
+    out = "--out", tmp_path / "a.npy"
+    subprocess.run([sys.executable, "-c", ALONE, *words, *out], check=True)
     network = osl.VolumeNet.pretrained()
     network.precision = "float32"
     expected = GRID.index_to_inverse_depth(
@@ -99,13 +95,8 @@ def test_depth_without_torch(exported, rig, tmp_path):
 def test_the_script_says_in_one_line_what_is_wrong(exported, tmp_path, monkeypatch, names, said):
     write_image(tmp_path / "right.png", np.zeros((192, 200)))
     write_image(tmp_path / "small.png", np.zeros((192, 100)))
-    words = [
-        exported / "run_onnx.py",
-        *(tmp_path / name for name in names),
-        "--out",
-        tmp_path / "a.npy",
-    ]
-    monkeypatch.setattr(sys, "argv", [*map(str, words)])
+    words = [exported / "run_onnx.py", *(tmp_path / name for name in names)]
+    monkeypatch.setattr(sys, "argv", [*map(str, words), "--out", str(tmp_path / "a.npy")])
     with pytest.raises(SystemExit, match=f"^error: .*{said}[^\n]*$"):
         runpy.run_path(sys.argv[0], run_name="__main__")
     assert not (tmp_path / "a.npy").exists()

@@ -56,16 +56,8 @@ def run(*arguments):
 
 
 def record_command(folder, out):
-    return [
-        "record",
-        "--rig",
-        folder / "rig.yaml",
-        "--images",
-        *views(folder),
-        *SMALL,
-        "--out",
-        out,
-    ]
+    rig = ["--rig", folder / "rig.yaml"]
+    return ["record", *rig, "--images", *views(folder), *SMALL, "--out", out]
 
 
 @pytest.fixture(scope="module")
@@ -176,19 +168,8 @@ def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monk
     """As it is typed: with relative paths, and without --out."""
     monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
     for _ in range(2):
-        assert (
-            run(
-                "record",
-                "--rig",
-                "rig.yaml",
-                "--images",
-                *(f"view{k}" for k in "1234"),
-                *SMALL,
-                "--frames",
-                ":2",
-            )
-            == 0
-        )
+        typed = ["record", "--rig", "rig.yaml", "--images", *(f"view{k}" for k in "1234")]
+        assert run(*typed, *SMALL, "--frames", ":2") == 0
         assert len(osl.load_dataset("out/record_rig")) == 1
 
 
@@ -450,17 +431,8 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
         pictures = [read_image(path) for path in sorted(view.iterdir())]
         write_video(tmp_path / f"{k}.mkv", pictures[: 5 if k == 3 else None])
     videos = [tmp_path / f"{k}.mkv" for k in (1, 2, 3, 4)]
-    command = [
-        "record",
-        "--rig",
-        recorded / "rig.yaml",
-        "--images",
-        *videos,
-        *SMALL,
-        "--out",
-        tmp_path / "out",
-    ]
-    assert run(*command, "--frames", "1::2") == 0
+    command = ["record", "--rig", recorded / "rig.yaml", "--images", *videos, *SMALL]
+    assert run(*command, "--out", tmp_path / "out", "--frames", "1::2") == 0
     assert "3.mkv lacks 1 frame that other cameras have; left out: 5" in capsys.readouterr().err
     data = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in data] == [1, 3]

@@ -372,17 +372,8 @@ def command(*words):
     return cli.main(["evaluate", *(str(word) for word in words)])
 
 
-FILES = [
-    "errors.csv",
-    "errors.md",
-    "errors.txt",
-    "frames",
-    "provenance.json",
-    "regions.csv",
-    "regions.md",
-    "regions.txt",
-    "results.json",
-]
+TABLES = [f"{name}.{end}" for name in ("errors", "regions") for end in ("csv", "md", "txt")]
+FILES = sorted([*TABLES, "frames", "provenance.json", "results.json"])
 
 
 def test_the_command_line(data, weights, tmp_path, capsys, monkeypatch, expected_of_all):

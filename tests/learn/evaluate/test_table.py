@@ -46,15 +46,13 @@ def brute_errors(index, gt_index, num_spheres, mask):
     errors = []
     for estimate, gt, wanted in zip(index.ravel(), gt_index.ravel(), mask.ravel(), strict=True):
         if wanted and 0 <= gt < num_spheres:
-            errors.append(
-                100.0
-                if np.isnan(estimate)
-                else 100 / num_spheres * abs(float(estimate) - float(gt))
-            )
+            off = abs(float(estimate) - float(gt))
+            errors.append(100.0 if np.isnan(estimate) else 100 / num_spheres * off)
     return errors
 
 
-def random_maps(seed=0, shape=(9, 31), num_spheres=48):
+def random_maps(seed=0):
+    shape, num_spheres = (9, 31), 48
     rng = np.random.default_rng(seed)
     gt_index = rng.uniform(-3, num_spheres + 3, shape)
     index = rng.integers(0, num_spheres, shape).astype(np.float32)
@@ -286,18 +284,16 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
     return {"config": config, "methods": {m.name: vars(m) for m in methods}, "frames": frames}
 
 
+LABELS = ["ZNCC", "ZNCC, window = 5", "MC-CNN", "ZNCC + SGM"]
+
+
 def test_the_table_has_the_form_of_the_paper():
     table = errors_table(
         record(lambda name, k, method: [10.0 * k, 5.0 * k, k, len(name) + k / 8, 0.5 * k])
     )
     assert table.columns[:5] == ["Sunny >1", "Sunny >3", "Sunny >5", "Sunny MAE", "Sunny RMS"]
     assert [column.split()[0] for column in table.columns[::5]] == ["Sunny", "Sunset", "Box"]
-    assert [words[0] for words, _ in table.rows] == [
-        "ZNCC",
-        "ZNCC, window = 5",
-        "MC-CNN",
-        "ZNCC + SGM",
-    ]
+    assert [words[0] for words, _ in table.rows] == LABELS
     cells = table.rows[0][1]
     np.testing.assert_allclose(cells[:5, 0], [20, 10, 2, 5.25, 1])
     assert (cells[:, 1] < cells[:, 0]).all() and (cells[:, 0] < cells[:, 2]).all()
@@ -348,12 +344,7 @@ def test_regions_pool_all_rays():
     assert [words[:3] for words, _ in table.rows[::4]] == [
         ["sunny", *item] for item in shares.items()
     ]
-    assert [words[3] for words, _ in table.rows[:4]] == [
-        "ZNCC",
-        "ZNCC, window = 5",
-        "MC-CNN",
-        "ZNCC + SGM",
-    ]
+    assert [words[3] for words, _ in table.rows[:4]] == LABELS
     np.testing.assert_allclose(table.rows[0][1][:, 0], [50, 20, 12, 1.5, 3])
     np.testing.assert_allclose(table.rows[0][1][2], [12, 11, 13], atol=0.34)
     np.testing.assert_allclose(table.rows[4][1][:, 0], [50, 15, 5, 1, np.sqrt(5)])

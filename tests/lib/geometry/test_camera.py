@@ -5,7 +5,7 @@ import pytest
 import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scene import refused
+from scene import polar_rays, refused
 
 from omnistereo_lib import OcamCamera
 from omnistereo_lib.geometry.camera import fit_inverse_polynomial
@@ -40,16 +40,6 @@ def equidistant(f=180.0, **changes):
     return OcamCamera(**parameters | {"image_size": SIZE} | changes)
 
 
-def ray(theta, azimuth):
-    """Unit ray at angle θ from the axis; azimuth 0 is +x (right), π/2 is +y (down)."""
-    parts = (
-        np.sin(theta) * np.cos(azimuth),
-        np.sin(theta) * np.sin(azimuth),
-        np.cos(theta) + 0 * azimuth,
-    )
-    return np.stack(np.broadcast_arrays(*parts), -1)
-
-
 def pixel(radius, azimuth):
     """The affine map by hand, in rows and columns as the files' documentation writes it."""
     c, d, e = AFFINE
@@ -62,17 +52,17 @@ AZIMUTH = np.radians(np.arange(0, 360, 7.0))
 
 
 def test_every_angle_lands_where_the_closed_form_says():
-    uv, _ = equidistant().project(ray(THETA, AZIMUTH))
+    uv, _ = equidistant().project(polar_rays(THETA, AZIMUTH))
     np.testing.assert_allclose(uv, pixel(180.0 * THETA, AZIMUTH), atol=1e-9)
     for direct, tolerance in ((True, 1e-9), (False, 1e-7)):
-        uv, _ = stereographic().project(ray(THETA, AZIMUTH), direct)
+        uv, _ = stereographic().project(polar_rays(THETA, AZIMUTH), direct)
         np.testing.assert_allclose(uv, pixel(2 * F * np.tan(THETA / 2), AZIMUTH), atol=tolerance)
 
 
 @pytest.mark.parametrize("direct", [False, True])
 def test_round_trip_from_rays_and_from_pixels(direct):
     camera = stereographic()
-    rays = ray(THETA, AZIMUTH)
+    rays = polar_rays(THETA, AZIMUTH)
     uv, valid = camera.project(rays, direct)
     back, valid_back = camera.unproject(uv, direct)
     assert (valid_back == valid).all() and 0.7 < valid.mean() < 1  # the image cuts off the circle
@@ -93,10 +83,10 @@ WIDE = stereographic(image_size=(2400, 2400), center=(1200.0, 1200.0))
 )
 @example(5e-324, 0.0, 1.0, False)  # off the axis by the smallest float
 def test_round_trip_of_any_point(theta, azimuth, distance, direct):
-    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), direct)
+    uv, valid = WIDE.project(distance * polar_rays(theta, np.float64(azimuth)), direct)
     assert valid
     np.testing.assert_allclose(
-        WIDE.unproject(uv, direct)[0], ray(theta, np.float64(azimuth)), atol=1e-9
+        WIDE.unproject(uv, direct)[0], polar_rays(theta, np.float64(azimuth)), atol=1e-9
     )
 
 
@@ -121,7 +111,7 @@ def test_validity_comes_from_geometry_and_mask(dtype):
     mask = np.full(SIZE[::-1], 0.25 if dtype is np.float64 else 1, dtype)
     mask[:, 500:] = 0
     camera = equidistant(mask=mask)
-    points = ray(np.radians([0, 20, 60, 109, 111, 180]), np.array(0.0))
+    points = polar_rays(np.radians([0, 20, 60, 109, 111, 180]), np.array(0.0))
     assert camera.project(points)[1].tolist() == [True, True, False, False, False, False]
     assert equidistant().project(points)[1].tolist() == [True, True, True, True, False, False]
     uv = [[-0.6, 300], [0, 377], [402, 377], [499, 377], [501, 377], [400, 760], [np.nan, 1]]
@@ -206,5 +196,5 @@ def test_the_direct_polynomial_ends_where_it_stops_growing():
     np.testing.assert_array_equal(valid, [True, True, False, False, False])
     # does not limit the direct polynomial
     other = stereographic(inv_poly=0.9 * stereographic().inv_poly)
-    uv, valid = other.project(ray(THETA, AZIMUTH), True)
+    uv, valid = other.project(polar_rays(THETA, AZIMUTH), True)
     assert (other.unproject(uv, True)[1] == valid).all()

@@ -31,14 +31,8 @@ def test_names_are_read_back(method):
 
 
 def test_names_and_labels():
-    assert [method.name for method in METHODS] == [
-        "zncc",
-        "mccnn",
-        "sweepnet",
-        "zncc+sgm",
-        "mccnn+sgm",
-        "sweepnet+sgm",
-    ]
+    costs = ["zncc", "mccnn", "sweepnet"]
+    assert [method.name for method in METHODS] == costs + [f"{cost}+sgm" for cost in costs]
     method = Method.parse("sweepnet+sgm,weights=Plain_2,p1=0.20,wrap=false")
     assert method == Method(cost="sweepnet", aggregate="sgm", weights="Plain_2", p1=0.2, wrap=False)
     assert method.name == "sweepnet+sgm,weights=Plain_2,p1=0.2,wrap=false"

@@ -245,15 +245,8 @@ def test_what_is_frozen_cannot_be_written_into():
     camera = dataclasses.replace(RIG.cameras[0], mask=np.ones((56, 60)))
     found = depth()
     pose = RIG.T_rig_cam[0]
-    for array in (
-        pose.R,
-        pose.t,
-        camera.poly,
-        camera.inv_poly,
-        camera.mask,
-        found.index,
-        found.confidence,
-    ):
+    arrays = pose.R, pose.t, camera.poly, camera.inv_poly, camera.mask
+    for array in (*arrays, found.index, found.confidence):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 

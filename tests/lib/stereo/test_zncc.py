@@ -37,11 +37,8 @@ def test_cost_agrees_with_the_definition(kind, window):
 
 
 def test_a_device_without_a_kernel_takes_the_definition():
-    assert osl.ZNCC(5)(torch.from_numpy(block("textured")).to("meta"), [(0, 1)]).shape == (
-        13,
-        17,
-        2,
-    )
+    images = torch.from_numpy(block("textured")).to("meta")
+    assert osl.ZNCC(5)(images, [(0, 1)]).shape == (13, 17, 2)
 
 
 def test_invisible_columns_may_be_skipped():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from rigs.formats.rig_file_samples import AHEAD, brown, ds, eucm, fov, kb4, mei
-from scene import refused
+from scene import polar_rays, refused
 
 from omnistereo_rigs.formats.camera_models import FISHEYE, make_camera_model
 from omnistereo_rigs.formats.colmap import MODELS
@@ -25,12 +25,8 @@ AT = {"f": (225.0, 222.5), "c": (610.8, 600.2)}
 
 
 def rays(theta_deg, azimuths=16):
-    theta, azimuth = np.meshgrid(
-        np.radians(theta_deg), np.arange(azimuths) * 2 * np.pi / azimuths, indexing="ij"
-    )
-    return np.stack(
-        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], -1
-    )
+    theta = np.radians(np.atleast_1d(theta_deg))[:, None]
+    return polar_rays(theta, np.arange(azimuths) * 2 * np.pi / azimuths)
 
 
 points = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 3)).filter(

@@ -1,6 +1,7 @@
 """Where Blender draws a direction, by its documented lens: the oracle for ours."""
 
 import numpy as np
+from scene import polar_rays
 
 from workshop.render.camera.lens import SENSOR_MM
 
@@ -24,8 +25,5 @@ def blender_pixel(lens, directions, size):
 
 
 def directions(max_deg):
-    theta, azimuth = np.meshgrid(
-        np.radians(np.linspace(0, max_deg, 56)), np.linspace(0, 2 * np.pi, 24)
-    )
-    rays = [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)]
-    return np.stack(rays, -1).reshape(-1, 3)
+    theta, azimuth = np.radians(np.linspace(0, max_deg, 56)), np.linspace(0, 2 * np.pi, 24)
+    return polar_rays(theta, azimuth[:, None]).reshape(-1, 3)

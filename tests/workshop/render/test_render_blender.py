@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from lens_oracle import blender_pixel
+from scene import polar_rays
 
 import omnistereo_lib as osl
 from workshop import render
@@ -126,10 +127,7 @@ np.save(out + "/picture.npy", fisheye_picture(lens, T_world_cam, (200, 192), 128
 def test_balls_are_where_the_camera_model_says(tmp_path):
     """The chain of lens, shift, pose, row order; the axis is off the middle: a shift shows."""
     theta = np.radians([0, 25, 25, 25, 50, 50, 50, 75, 75, 75, 90, 90, 90, 104, 104, 104])
-    azimuth = np.arange(len(theta)) * np.radians(130)
-    rays = np.stack(
-        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], -1
-    )
+    rays = polar_rays(theta, np.arange(len(theta)) * np.radians(130))
     np.save(tmp_path / "rays.npy", rays)
     in_blender(BALLS, tmp_path)
     picture = np.load(tmp_path / "picture.npy").mean(-1)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from render_stand_in import TINY, replace_blender
+from render_stand_in import TINY, contents, replace_blender
 
 import omnistereo_lib as osl
 from workshop import render
@@ -34,12 +34,6 @@ from workshop.render.image_sets import (
 @pytest.fixture
 def no_blender(monkeypatch):
     replace_blender(monkeypatch.setitem, monkeypatch.setattr)
-
-
-def contents(folder):
-    return {
-        path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }
 
 
 def test_rendered_set_is_a_data_set(no_blender, tmp_path):

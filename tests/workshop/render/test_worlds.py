@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from render_stand_in import contents
 
 import omnistereo_lib as osl
 from workshop.render.camera.render_rig import random_rig, write_config
@@ -167,20 +168,11 @@ def no_blender(monkeypatch):
         depth_panorama=lambda pose, size, phi_deg: np.full(size[::-1], 2.0),
     )
     monkeypatch.setitem(sys.modules, "workshop.render.blender", blender)
-    monkeypatch.setitem(
-        sys.modules,
-        "workshop.render.indoor.interiors",
-        SimpleNamespace(build_room=lambda plan, rng: None),
-    )
+    interiors = SimpleNamespace(build_room=lambda plan, rng: None)
+    monkeypatch.setitem(sys.modules, "workshop.render.indoor.interiors", interiors)
 
 
 TINY = replace(WORLDS["rooms/train"], size=(25, 24), truth=(20, 8))
-
-
-def contents(folder):
-    return {
-        path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }
 
 
 def test_rendered_worlds_are_a_data_set(no_blender, tmp_path):
