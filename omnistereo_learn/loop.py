@@ -74,8 +74,8 @@ def train(
         precision: Of the matrix products; weights, losses and sums stay float32.
         checkpoint_s: Seconds between two states.
         init_weights: Trained weights to begin with instead of random ones. Their architecture must
-            be that of the
-            recipe: training writes weights without batch norms, so `batch_norm` must be False.
+            be that of the recipe: training writes weights without batch norms, so `batch_norm`
+            must be False.
         on_step: Called with the log row of every step: "step" from 0, "loss", "error",
             "learning_rate", "seconds" since this call, "validation_loss" and "validation_error",
             NaN between validations. An exception in it stops the run.

@@ -211,9 +211,8 @@ def _yaml_loader() -> type:
             return node
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            _unique(
-                [(key.value, None) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            )
+            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            _unique([(key, None) for key in keys])
             return super().construct_mapping(node, deep)
 
     # Numbers are Python's: 0200 is not 128, 3:20 not 200, 0b11 and yes are words.
@@ -312,10 +311,8 @@ def make_folder(path: str | Path) -> Path:
         with TemporaryFile(dir=path):
             return path
     except OSError as error:
-        message = (
-            f"folder {path} cannot be made or written to: {error.strerror}. Choose another folder."
-        )
-        raise OmnistereoError(message) from None
+        found = f"folder {path} cannot be made or written to: {error.strerror}"
+        raise OmnistereoError(f"{found}. Choose another folder.") from None
 
 
 def remove_empty_folders() -> None:
@@ -332,10 +329,8 @@ def unpack(folder: Path) -> None:
     Sets of thousands of small files lie as one archive each; the folder appears when it is whole.
     """
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
-    archive = next(
-        (p for path in missing if (p := path.parent / f"{path.name}.zip").exists()), None
-    )
-    if archive is None:
+    archives = (path.parent / f"{path.name}.zip" for path in missing)
+    if (archive := next((path for path in archives if path.exists()), None)) is None:
         return
     try:
         with (

@@ -165,9 +165,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
     arrays = [as_array(image, f"image {i}", None) for i, image in enumerate(images, 1)]
-    for i, (image, (width, height)) in enumerate(
-        zip(arrays, rig.image_sizes(len(arrays)), strict=True)
-    ):
+    sizes = rig.image_sizes(len(arrays))
+    for i, (image, (width, height)) in enumerate(zip(arrays, sizes, strict=True)):
         if image.shape not in [(height, width), (height, width, 3)]:
             raise OmnistereoError(
                 f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width})"
@@ -180,9 +179,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
             arrays[i] = _within_range(image, f"image {i + 1}")
     # Gray and colour images together are all in colour.
     if len({image.ndim for image in arrays}) > 1:
-        arrays = [
-            np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays
-        ]
+        arrays = [one if one.ndim == 3 else np.repeat(one[..., None], 3, -1) for one in arrays]
     return arrays
 
 
@@ -232,9 +229,8 @@ def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDAr
     else raises an `OmnistereoError`.
     """
     path = Path(path)
-    values = (
-        _read_png16(path, min_depth) if path.suffix.lower() == ".png" else _read_float_tiff(path)
-    )
+    is_png = path.suffix.lower() == ".png"
+    values = _read_png16(path, min_depth) if is_png else _read_float_tiff(path)
     with np.errstate(over="ignore"):
         values = values.astype(np.float32)
     return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
@@ -278,11 +274,8 @@ def _read_float_tiff(path: Path) -> NDArray[Any]:
     try:
         for page in range(pages_of(path, picture)):
             picture.seek(page)
-            floats += (
-                [page]
-                if picture.mode == "F" and picture.width * picture.height <= MAX_PIXELS
-                else []
-            )
+            if picture.mode == "F" and picture.width * picture.height <= MAX_PIXELS:
+                floats.append(page)
         if len(floats) == 1:
             picture.seek(floats[0])
             decoded = decode_tiff(content, floats[0])
@@ -300,9 +293,8 @@ def _read_float_tiff(path: Path) -> NDArray[Any]:
     # Ours: it says so, or has lost what it said.
     told = about.split("\0")[0]
     lost = len(told) < len(about) and f'{{"{_CHECKSUM}'.startswith(told)
-    if (_CHECKSUM in about or software == _SOFTWARE or lost) and about != json.dumps(
-        {_CHECKSUM: _sum_of(values)}
-    ):
+    is_ours = _CHECKSUM in about or software == _SOFTWARE or lost
+    if is_ours and about != json.dumps({_CHECKSUM: _sum_of(values)}):
         raise OmnistereoError(
             f"{path} has changed since it was written (checksum). Copy it, or compute it again."
         )

@@ -12,12 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import (
-    OmnistereoError,
-    check_number,
-    error_context,
-    shortened,
-)
+from omnistereo_lib.errors import OmnistereoError, check_number, error_context, shortened
 from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.camera import MAX_SIDE
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
@@ -58,8 +53,7 @@ _IRRELEVANT = {
 # Projections, and matrices of two views; p1 and f are others.
 _RECTIFIED = re.compile("[PQEF][0-9]?")
 _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
-# What lens models have: a camera that states one which is not read is another lens than the one
-# read.
+# What lens models have: a camera that states one that is not read has another lens.
 _OF_A_LENS = re.compile(
     "alpha|beta|xi|omega|lambda|epsilon|chi|[kps][0-9]|(linear_?)[cde]|gamma[12]|"
     "(radial|tangential)_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|coef\\w*|skew",

@@ -118,9 +118,8 @@ def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> 
     if picture.mode in ("RGBA", "LA", "PA"):
         _remark(path, "has transparency, which is ignored")
     if (more := pages_of(path, picture) - 1) > 0:
-        _remark(
-            path, f"has {more} more {'page, which is' if more == 1 else 'pages, which are'} ignored"
-        )
+        pages = "page, which is" if more == 1 else "pages, which are"
+        _remark(path, f"has {more} more {pages} ignored")
     return content, picture
 
 
@@ -169,9 +168,8 @@ def _decode_jpeg(path: str | Path, content: bytes, mode: str) -> NDArray[np.uint
         pixels = decode_jpeg(content, space)
     except ValueError as error:
         pixels = decode_jpeg(content, space, strict=False)
-        _remark(
-            path, f"is damaged, so that a part of the picture may be wrong ({error}). Copy it again"
-        )
+        found = f"is damaged, so that a part of the picture may be wrong ({error})"
+        _remark(path, f"{found}. Copy it again")
     return pixels[..., 0] if mode == "L" else pixels
 
 
@@ -181,9 +179,8 @@ def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
     shape = (height, width) if kind in b"25" else (height, width, 3)
     count = math.prod(shape)
     if kind in b"23":
-        values = np.array(
-            re.sub(rb"#.*", b"", content[header.end() :]).split(None, count)[:count]
-        ).astype(np.uint16)
+        words = re.sub(rb"#.*", b"", content[header.end() :]).split(None, count)
+        values = np.array(words[:count]).astype(np.uint16)
     else:
         values = np.frombuffer(content, ">u2" if most > 255 else np.uint8, count, header.end())
     if values.max() > most:
@@ -208,9 +205,8 @@ def _decode(content: bytes, picture: Any) -> NDArray[Any]:
         return pixels
     picture.load()
     if is_deep and not picture.mode.startswith("I"):
-        return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))[
-            ..., 2::-1
-        ]
+        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        return np.asarray(decoded)[..., 2::-1]
     if not picture.mode.startswith("I"):
         picture = picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB")
     pixels = np.asarray(picture)
@@ -332,11 +328,9 @@ def write_image(path: str | Path, image: NDArray[Any]) -> None:
     """
     import cv2
 
-    pixels = (
-        image
-        if image.dtype == np.uint16
-        else np.nan_to_num(image).clip(0, 255).round().astype(np.uint8)
-    )
+    pixels = image
+    if image.dtype != np.uint16:
+        pixels = np.nan_to_num(image).clip(0, 255).round().astype(np.uint8)
     pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
     content = cv2.imencode(Path(path).suffix, pixels)[1]
     with atomic_write(path) as temporary:

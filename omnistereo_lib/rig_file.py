@@ -47,9 +47,8 @@ class RigFile(NamedTuple):
     """What a reader finds in a file."""
 
     cameras: Sequence[OcamCamera]
-    T_rig_cam: Sequence[
-        Pose
-    ] = ()  #: camera → rig, in the unit of the file; none of one camera by itself
+    #: camera → rig, in the unit of the file; none of one camera by itself
+    T_rig_cam: Sequence[Pose] = ()
     min_depth: float | None = None  #: metres
     T_rig_file: Pose | None = None  #: see `Rig`
     deviations: Sequence[Deviation] = ()  #: of the cameras, or none
@@ -252,13 +251,10 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
             if cam.get("deviation") is not None:
                 deviations.append(Deviation(*cam.floats("deviation", count=3).tolist()))
     if missing and any(camera.mask is not None for camera in cameras):
-        names = ", ".join(missing)
-        raise OmnistereoError(
-            f"the masks {names} are named, but missing. Copy them beside the file"
-        )
-    if missing and not re.fullmatch(
-        rf"{re.escape(path.stem)}_mask1.png|.*_no_mask1.png", missing[0]
-    ):
+        found = f"the masks {', '.join(missing)} are named, but missing"
+        raise OmnistereoError(f"{found}. Copy them beside the file")
+    ours = rf"{re.escape(path.stem)}_mask1.png|.*_no_mask1.png"
+    if missing and not re.fullmatch(ours, missing[0]):
         text = f"{path}: the masks {', '.join(missing)} are missing; every pixel counts as valid"
         warnings.warn(text, stacklevel=2)
     warn_of_polynomials(cameras, path)
@@ -274,10 +270,9 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as config.yaml (OmniMVS format, metres), every number in full.
 
     Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes
-    need a
-    name even without a mask, and write their own there: <name>_no_mask1.png. They sweep around the
-    origin
-    of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
+    need a name even without a mask, and write their own there: <name>_no_mask1.png. They sweep
+    around the origin of the file and need a nearest depth: for them, save `rig.recentered()` with
+    a `min_depth`.
 
     >>> osl.save_rig(osl.load_rig("data_samples/sunny/test").recentered(), "rig.yaml")
     >>> bool(np.allclose(osl.load_rig("rig.yaml").centers.mean(axis=0), 0))

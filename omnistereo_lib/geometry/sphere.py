@@ -11,8 +11,6 @@ from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError, check_number
 
 Sampling = Literal["center", "sweepnet", "omnimvs"]
-
-
 _NEAREST = (1e-6, 1e9)  # m
 _MAX_SIDE = 1_000_000
 
@@ -59,25 +57,20 @@ class SphereGrid:
     min_depth: float = 0.55  #: D_min in metres: the radius of sphere N - 1
     max_depth: float = np.inf  #: radius of sphere 0 in metres; the paper's is infinite
     #: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released
-    #: MATLAB code and its
-    #: ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column -
-    #: W/2) 2π/W, φ from
-    #: the first to the last elevation, both included.
+    #: MATLAB code and its ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as
+    #: that code: θ = (column - W/2) 2π/W, φ from the first to the last elevation, both included.
     sampling: Sampling = "center"
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "num_spheres"):
-            object.__setattr__(
-                self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True)
-            )
+            number = check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True)
+            object.__setattr__(self, name, number)
         # A list would make the grid unhashable.
         phi = tuple(np.atleast_1d(self.phi_deg).tolist())
         are_two = len(phi) == 2 and all(isinstance(angle, Real) for angle in phi)
         if not (are_two and -90 <= phi[0] < phi[1] <= 90):
-            raise OmnistereoError(
-                f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down"
-                " > 0)"
-            )
+            expected = "two angles, -90 ≤ first < last ≤ 90 (down > 0)"
+            raise OmnistereoError(f"phi_deg is {self.phi_deg}; expected {expected}")
         object.__setattr__(self, "phi_deg", phi)
         near, far = self.min_depth, self.max_depth
         are_real = isinstance(near, Real) and isinstance(far, Real)
@@ -100,17 +93,13 @@ class SphereGrid:
     def thetas(self) -> NDArray[np.float64]:
         """Return θ of every column, shape (W,), radians, in [-π, π]."""
         offset = _SAMPLINGS[self.sampling].column_offset
-        return (np.arange(self.width, dtype=np.float64) + offset - self.width / 2) * (
-            2 * np.pi / self.width
-        )
+        return (np.arange(self.width) + offset - self.width / 2) * (2 * np.pi / self.width)
 
     def phis(self) -> NDArray[np.float64]:
         """Return φ of every row, shape (H,), radians, down positive."""
-        sampling = _SAMPLINGS[self.sampling]
+        _, offset, extra_rows = _SAMPLINGS[self.sampling]
         low, high = np.radians(self.phi_deg)
-        return low + (np.arange(self.height) + sampling.row_offset) * (high - low) / (
-            self.height + sampling.extra_rows
-        )
+        return low + (np.arange(self.height) + offset) * (high - low) / (self.height + extra_rows)
 
     def rays(self) -> NDArray[np.float64]:
         """Return ρ(p) of every pixel, (H, W, 3), unit vectors (paper, Section III-B)."""

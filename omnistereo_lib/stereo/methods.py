@@ -121,13 +121,9 @@ class Method:
     subindex: bool | None = None
 
     def __post_init__(self) -> None:
-        for name, choices in (
-            ("cost", tuple(COSTS)),
-            ("aggregate", ("none", "sgm")),
-            ("pairs", ("ring", "all")),
-        ):
-            if getattr(self, name) not in choices:
-                given = getattr(self, name)
+        words = {"cost": tuple(COSTS), "aggregate": ("none", "sgm"), "pairs": ("ring", "all")}
+        for name, choices in words.items():
+            if (given := getattr(self, name)) not in choices:
                 similar = get_close_matches(str(given), choices, n=1)
                 guess = f". Did you mean {similar[0]}?" if similar else ""
                 raise OmnistereoError(
@@ -182,17 +178,16 @@ class Method:
     @property
     def name(self) -> str:
         """The name that `parse` reads, such as "zncc+sgm,p1=0.2"."""
-        return ",".join(
-            [self.base, *(f"{name}={_text(value)}" for name, value in self._changed.items())]
-        )
+        return ",".join([self.base, *self._settings("=")])
 
     @property
     def label(self) -> str:
         """Row of a table, such as "ZNCC + SGM, p1 = 0.2"."""
         base = COSTS[self.cost].label + (" + SGM" if self.aggregate == "sgm" else "")
-        return ", ".join(
-            [base, *(f"{name} = {_text(value)}" for name, value in self._changed.items())]
-        )
+        return ", ".join([base, *self._settings(" = ")])
+
+    def _settings(self, equals: str) -> list[str]:
+        return [f"{name}{equals}{_text(value)}" for name, value in self._changed.items()]
 
     @property
     def sort_key(self) -> tuple[Any, ...]:
@@ -215,12 +210,8 @@ class Method:
     @property
     def _changed(self) -> dict[str, Any]:
         """Settings that differ from their defaults."""
-        defaults = {field.name: field.default for field in fields(self)[2:]}
-        return {
-            name: getattr(self, name)
-            for name, default in defaults.items()
-            if getattr(self, name) != default
-        }
+        values = ((field, getattr(self, field.name)) for field in fields(self)[2:])
+        return {field.name: value for field, value in values if value != field.default}
 
     @property
     def _used(self) -> frozenset[str]:

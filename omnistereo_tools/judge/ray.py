@@ -37,9 +37,8 @@ AROUND_DEG = 3.4  # how far around a ray the depths beside it are looked up
 # In tolerances: a tenth of the depths around, and the nearest of all, are within and beyond that of
 # another depth at which the patches agree. Then a surface is there, or it only looks alike.
 BESIDE, NOWHERE = 0.5, 5.0
-JUMP = (
-    1.0  # in tolerances, between neighbouring rays: less is a slope, such as the road, and no edge
-)
+# In tolerances, between neighbouring rays: less is a slope, such as the road, and no edge.
+JUMP = 1.0
 GRAY = np.array([0.299, 0.587, 0.114])  # BT.601 luma
 ON_THE_WAY = 32  # places between a point and a camera where something may stand
 

@@ -1,6 +1,7 @@
 """Figures of the page on notation, drawn from the sample data."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import style
@@ -14,6 +15,7 @@ from omnistereo_lib.dataset import Dataset
 SAMPLE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny"
 COLORS = "petroff6"  # a style of Matplotlib whose colours colour-blind readers can tell apart
 SPHERES = 9
+Point = tuple[float, float]
 
 
 def draw_figures() -> dict[str, bytes]:
@@ -60,15 +62,8 @@ def _panorama(data: Dataset) -> Figure:
     fig, ax = _figure(7, 2.6)
     draw_panorama(ax, np.nanmean(sweep.warp(data[0].images, 0), axis=0), grid)
     for theta, axis in ((-180, "−z"), (-90, "−x"), (0, "+z"), (90, "+x"), (180, "−z")):
-        ax.text(
-            theta,
-            -38,
-            axis,
-            color="w",
-            ha="center",
-            va="center",
-            bbox={"fc": "0.1", "ec": "none", "pad": 2},
-        )
+        box = {"fc": "0.1", "ec": "none", "pad": 2}
+        ax.text(theta, -38, axis, color="w", ha="center", va="center", bbox=box)
     _axis(ax, (0, 0), (0, 35), "+y", "w")
     for number, pose in enumerate(data.rig.T_rig_cam, start=1):
         x, y, z = pose.R[:, 2]
@@ -92,13 +87,8 @@ def _spheres(data: Dataset) -> Figure:
         at = (radius * np.sin(angle), radius * np.cos(angle))
         ax.text(*at, str(n), ha="center", va="center", bbox={"fc": "w", "ec": "none", "pad": 1.5})
     reach = 1.05 * grid.index_to_depth(2)
-    ax.set(
-        aspect="equal",
-        xlim=(-reach, reach),
-        ylim=(-reach, reach),
-        xlabel="x (right) [m]",
-        ylabel="z (forward) [m]",
-    )
+    ax.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
+    ax.set(xlabel="x (right) [m]", ylabel="z (forward) [m]")
     return fig
 
 
@@ -107,32 +97,21 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     return fig, fig.subplots()
 
 
-def _axis(
-    ax: Axes, start: tuple[float, float], along: tuple[float, float], name: str, color: str
-) -> None:
+def _axis(ax: Axes, start: Point, along: Point, name: str, color: str) -> None:
     """Draw an arrow and write its name at the tip."""
     tip = (start[0] + along[0], start[1] + along[1])
-    ax.annotate(
-        "",
-        tip,
-        start,
-        arrowprops={"arrowstyle": "-|>", "color": color, "lw": 2, "shrinkA": 0, "shrinkB": 0},
-    )
+    style = {"arrowstyle": "-|>", "color": color, "lw": 2, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", tip, start, arrowprops=style)
     _name(ax, tip, name, (6, 6), color)
 
 
-def _inwards(
-    ax: Axes, at: tuple[float, float], name: str, offset: tuple[int, int], color: str
-) -> None:
+def _inwards(ax: Axes, at: Point, name: str, offset: Point, color: str) -> None:
     """Draw the tail of an arrow that points into the page."""
     ax.plot(*at, "o", ms=13, mfc="none", mec=color, mew=1.5)
     ax.plot(*at, "x", ms=8, color=color)
     _name(ax, at, name, offset, color)
 
 
-def _name(
-    ax: Axes, at: tuple[float, float], name: str, offset: tuple[int, int], color: str
-) -> None:
-    ax.annotate(
-        name, at, offset, textcoords="offset points", color=color, fontsize=13, weight="bold"
-    )
+def _name(ax: Axes, at: Point, name: str, offset: Point, color: str) -> None:
+    style: dict[str, Any] = {"color": color, "fontsize": 13, "weight": "bold"}
+    ax.annotate(name, at, offset, textcoords="offset points", **style)

@@ -70,9 +70,8 @@ def renew(path: Path, picture: bytes) -> bool:
     On another processor, or with another number of threads, the last digits of the network differ,
     and some bytes.
     """
-    old, new = (
-        cv2.imdecode(np.frombuffer(data, np.uint8), 1) for data in (path.read_bytes(), picture)
-    )
+    files = path.read_bytes(), picture
+    old, new = (cv2.imdecode(np.frombuffer(file, np.uint8), 1) for file in files)
     same = old.shape == new.shape and cv2.absdiff(old, new).mean() <= SAME
     if not same:
         path.write_bytes(picture)
@@ -110,15 +109,8 @@ def picture(depth: Depth) -> Figure:
         ax.imshow(image, aspect="auto", interpolation="lanczos")
         ax.axis("off")
         style: dict[str, Any] = {"color": "white", "fontsize": 30, "weight": "bold", "va": "top"}
-        outline = [patheffects.withStroke(linewidth=6, foreground="black")]
-        ax.text(
-            14 / width,
-            1 - 12 / height_px,
-            label,
-            transform=ax.transAxes,
-            path_effects=outline,
-            **style,
-        )
+        style["path_effects"] = [patheffects.withStroke(linewidth=6, foreground="black")]
+        ax.text(14 / width, 1 - 12 / height_px, label, transform=ax.transAxes, **style)
 
     for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
         disc = np.where(camera.visible_pixels()[..., None], brighter(image), 255).astype(np.uint8)
@@ -133,9 +125,8 @@ def picture(depth: Depth) -> Figure:
         orientation="horizontal",
     )
     metres = [np.inf, 20, 10, 5, 3, 2]
-    bar.set_ticks(
-        [1 / m for m in metres], labels=["∞" if np.isinf(m) else f"{m} m" for m in metres]
-    )
+    labels = ["∞" if np.isinf(m) else f"{m} m" for m in metres]
+    bar.set_ticks([1 / m for m in metres], labels=labels)
     bar.ax.tick_params(labelsize=24, length=3, pad=1)
     bar.outline.set_visible(False)
     return fig

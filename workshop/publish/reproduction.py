@@ -65,17 +65,15 @@ Comparison = Callable[[Record], Finding]
 def mean_metrics(results: Record, method: str, light: str) -> NDArray[np.float64]:
     """Return the five metrics of a method, means over the frames of a set."""
     frames = results["frames"][light].values()
-    return np.mean(
-        [[frame[method]["figures"][metric] for metric in METRICS] for frame in frames], axis=0
-    )
+    of_frames = (frame[method]["figures"] for frame in frames)
+    return np.mean([[figures[metric] for metric in METRICS] for figures in of_frames], axis=0)
 
 
 def region_sums(results: Record, method: str, name: str, region: str) -> NDArray[np.float64]:
     """Return `SUMS` of the errors of a method in a region, over all frames of a set."""
     frames = results["frames"][name].values()
-    return np.sum(
-        [[frame[method]["strata"][region][key] for key in SUMS] for frame in frames], axis=0
-    )
+    of_frames = (frame[method]["strata"][region] for frame in frames)
+    return np.sum([[sums[key] for key in SUMS] for sums in of_frames], axis=0)
 
 
 def seen_by(results: Record) -> NDArray[np.float64]:
@@ -106,9 +104,8 @@ def judge_order(holds: ArrayLike, expected: ArrayLike, names: Sequence[str]) -> 
     broken = np.ravel(expected) & ~np.ravel(holds)
     if not broken.any():
         return REPRODUCED, ""
-    return (
-        TREND if 2 * broken.sum() < np.sum(expected) else DIFFERS
-    ), f"not {_listed(names, broken)}"
+    verdict = TREND if 2 * broken.sum() < np.sum(expected) else DIFFERS
+    return verdict, f"not {_listed(names, broken)}"
 
 
 def _listed(names: Sequence[str], chosen: NDArray[np.bool_]) -> str:
@@ -124,12 +121,9 @@ def table_row(method: str, light: str) -> Comparison:
     """Compare metrics of Table II: ZNCC's as they are, the others as ratios to ZNCC's."""
 
     def text(values: NDArray[Any], zncc: NDArray[Any]) -> str:
-        ratios = (
-            ""
-            if method == "zncc"
-            else "<br><sub>÷ ZNCC: " + " ".join(f"{x:.2f}" for x in values / zncc) + "</sub>"
-        )
-        return " ".join(f"{x:.1f}" for x in values) + ratios
+        words = " ".join(f"{x:.1f}" for x in values)
+        ratios = " ".join(f"{x:.2f}" for x in values / zncc)
+        return words if method == "zncc" else f"{words}<br><sub>÷ ZNCC: {ratios}</sub>"
 
     def compare(results: Record) -> Finding:
         paper, paper_zncc = PAPER[method, light], PAPER["zncc", light]
@@ -309,9 +303,8 @@ ROWS: dict[str, Comparison] = {  # first cell → comparison
 
 def report(results: Record) -> str:
     """Return the text of the page, computed from the content of results.json."""
-    text = "\n".join(
-        _computed(line, results) for line in PAGE.read_text(encoding="utf-8").split("\n")
-    )
+    lines = PAGE.read_text(encoding="utf-8").split("\n")
+    text = "\n".join(_computed(line, results) for line in lines)
     text = re.sub(
         "(<summary>[^:<]+: )[^<]*(</summary>.*?</details>)",
         lambda found: f"{found[1]}{_counts(found[2])}{found[2]}",
@@ -335,12 +328,9 @@ def _computed(line: str, results: Record) -> str:
 
 
 def _provenance(results: Record) -> str:
-    frames = ", ".join(
-        f"{len(frames)} of {name}" for name, frames in sorted(results["frames"].items())
-    )
-    weights = "".join(
-        f", {name} `{digest[:12]}`" for name, digest in sorted(results["weights"].items())
-    )
+    of_sets, digests = sorted(results["frames"].items()), sorted(results["weights"].items())
+    frames = ", ".join(f"{len(of_set)} of {name}" for name, of_set in of_sets)
+    weights = "".join(f", {name} `{digest[:12]}`" for name, digest in digests)
     settings = f"settings `{config_checksum(results)[:12]}`"
     return f"Results: frames {frames}; {_scale(results['config'])}; checksums: {settings}{weights}."
 

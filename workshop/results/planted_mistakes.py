@@ -104,9 +104,8 @@ def _wrong_lens(rng: np.random.Generator, data: Dataset, number: int) -> Case:
 
 def _wrong_unit(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
-    return Case(
-        scale_translations(rig, float(rng.choice([1e-3, 1e-2, 1e2, 1e3]))), images, ("unit",)
-    )
+    scaled = scale_translations(rig, float(rng.choice([1e-3, 1e-2, 1e2, 1e3])))
+    return Case(scaled, images, ("unit",))
 
 
 def _wrong_size(rng: np.random.Generator, data: Dataset, number: int) -> Case:
@@ -117,9 +116,8 @@ def _wrong_size(rng: np.random.Generator, data: Dataset, number: int) -> Case:
 
 def _inverted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
-    return Case(
-        rig.with_poses([pose.inverse() for pose in rig.T_rig_cam]), images, ("poses mixed up",)
-    )
+    inverted = rig.with_poses([pose.inverse() for pose in rig.T_rig_cam])
+    return Case(inverted, images, ("poses mixed up",))
 
 
 def _nothing(rng: np.random.Generator, data: Dataset, number: int) -> Case:
@@ -171,9 +169,7 @@ def judge(seed: int, number: int) -> dict[str, str]:
     data = _data(name)
     place = int(rng.integers(len(data)))
     case = PLANTED[planted](rng, data, place)
-    images = [
-        np.ascontiguousarray(image.round().clip(0, 255).astype(np.uint8)) for image in case.images
-    ]
+    images = [one.round().clip(0, 255).astype(np.uint8, order="C") for one in case.images]
     measured = None
     try:
         check = check_rig(case.rig, images, case.rig.min_depth)
@@ -238,14 +234,9 @@ def run(seed: int, count: int, out: Path | None = None) -> None:
 
 def table(rows: list[dict[str, str]], seed: int) -> str:
     """Return the confusion table of cause and verdict as Markdown, with the two shares."""
-    said = list(dict.fromkeys(row["said"] for row in rows))
-    said.sort(
-        key=lambda cause: (cause == "cannot tell", -Counter(row["said"] for row in rows)[cause])
-    )
-    lines = [
-        f"| planted | cases | right | {' | '.join(said)} |",
-        "|---|" + "---|" * (len(said) + 2),
-    ]
+    total = Counter(row["said"] for row in rows)
+    said = sorted(total, key=lambda cause: (cause == "cannot tell", -total[cause]))
+    lines = [f"| planted | cases | right | {' | '.join(said)} |", "|---" * (len(said) + 3) + "|"]
     for planted in PLANTED:
         mine = [row for row in rows if row["planted"] == planted]
         counts = Counter(row["said"] for row in mine)

@@ -24,9 +24,8 @@ UNSEEN = 255  # stored for NaN
 SNAPSHOTS = DATA / "results" / "snapshots.npz"
 
 
-def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Path:
-    """Train SweepNet from random weights on small panoramas; store its best spheres of a frame
-    after each of `steps`.
+def take_snapshots() -> None:
+    """Train SweepNet on small panoramas; store its best spheres of a frame after each of `STEPS`.
 
     The file has the arrays `steps`, `wrong` (fraction of wrong labels on held-out frames) and
     `index`, uint8 of shape (steps, H, W): the sphere with the lowest cost, without SGM, `UNSEEN`
@@ -37,8 +36,8 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
         width=160,
         height=40,
         num_spheres=32,
-        steps=steps[-1],
-        validate_every=steps[0],
+        steps=STEPS[-1],
+        validate_every=STEPS[0],
         validation_groups=12,
     )
     data = osl.load_dataset(DATA / "sunny", split="test")
@@ -49,7 +48,7 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
     wrong, index = [], []
 
     def look(row: dict[str, float]) -> None:
-        if row["step"] + 1 in steps:
+        if row["step"] + 1 in STEPS:
             wrong.append(row["validation_error"])
             index.append(_winners(SweepNet.from_file(run / WEIGHTS), sweep, images))
             print(
@@ -60,9 +59,8 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
     with TemporaryDirectory() as folder:
         run = Path(folder)
         train(recipe, run, on_step=look)
-    with atomic_write(out) as temporary:
-        np.savez_compressed(temporary, steps=steps, wrong=wrong, index=np.stack(index))
-    return out
+    with atomic_write(SNAPSHOTS) as temporary:
+        np.savez_compressed(temporary, steps=STEPS, wrong=wrong, index=np.stack(index))
 
 
 def _winners(network: SweepNet, sweep: osl.SphereSweep, images: list[Any]) -> NDArray[np.uint8]:

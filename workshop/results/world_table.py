@@ -91,10 +91,8 @@ def _driving_cars(
         T_world_rig = true_pose(number)
         traffic.show(number, T_world_rig.t[:2])
         points = T_world_rig @ (grid.rays() / np.maximum(inverse_depth, 1e-3)[..., None])
-        upright, inside = (
-            (points[..., 2] > low) & (points[..., 2] < high),
-            np.zeros(grid.shape, bool),
-        )
+        upright = (points[..., 2] > low) & (points[..., 2] < high)
+        inside = np.zeros(grid.shape, bool)
         for x, y, yaw, length in traffic.shown():
             offset = points[..., :2] - (x, y)
             along, across = (
@@ -171,10 +169,6 @@ def _edges(truth: NDArray[np.float32]) -> NDArray[np.bool_]:
         (np.abs(truth - x) > 0.015) & (np.maximum(truth, x) > 1.1 * np.minimum(truth, x))
         for x in (right, below)
     ]
-    marked = (
-        jumps[0]
-        | np.roll(jumps[0], 1, 1)
-        | jumps[1]
-        | np.vstack([jumps[1][:1] & False, jumps[1][:-1]])
-    )
+    across, down = jumps
+    marked = across | np.roll(across, 1, 1) | down | np.vstack([down[:1] & False, down[:-1]])
     return cv2.dilate(marked.astype(np.uint8), np.ones((3, 3))).astype(bool)
