@@ -93,7 +93,8 @@ class SphereGrid:
     def thetas(self) -> NDArray[np.float64]:
         """Return θ of every column, shape (W,), radians, in [-π, π]."""
         offset = _SAMPLINGS[self.sampling].column_offset
-        return (np.arange(self.width) + offset - self.width / 2) * (2 * np.pi / self.width)
+        columns = np.arange(self.width, dtype=np.float64) + offset
+        return (columns - self.width / 2) * (2 * np.pi / self.width)
 
     def phis(self) -> NDArray[np.float64]:
         """Return φ of every row, shape (H,), radians, down positive."""
