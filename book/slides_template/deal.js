@@ -54,7 +54,7 @@ document.addEventListener("DOMContentLoaded", async () => {
 })
 
 // Labels are to be read: from the last row, px of a slide of 1280; on a telephone, which two fingers enlarge, of 600.
-const LEGIBLE = [13, 7]
+const LEGIBLE = [13, 12]
 
 // Return the slides that the pieces of one become: its picture, where its labels are too small, in parts beside each other,
 // or, if these are too small as well, a slide for each part.
@@ -100,7 +100,7 @@ function part(image, width, height, [x, y, w, h], most) {
   return made("svg", { viewBox: [0, 0, most(2), most(3)], role: "img", "aria-label": image.alt }, window)
 }
 
-// Let a finger move what is wider than a telephone, a picture from its middle; an edge beyond which more follows fades.
+// Let a finger move what is wider than a telephone, a panorama from its middle; an edge beyond which more follows fades.
 // Where it is at its end already, the finger turns to the next slide.
 function letPan(slides) {
   let from, ends
@@ -112,7 +112,9 @@ function letPan(slides) {
   for (const event of ["ready", "slidechanged"])
     Reveal.on(event, ({ currentSlide }) => {
       for (const box of currentSlide.querySelectorAll(".picture, pre")) {
-        if (box.matches(".picture")) box.scrollLeft = (box.scrollWidth - box.clientWidth) / 2
+        const shown = box.matches(".picture") ? box.firstChild : null
+        const share = /panorama/i.test(shown?.alt ?? shown?.ariaLabel) ? 0.5 : 0
+        if (shown) box.scrollLeft = (box.scrollWidth - box.clientWidth) * share
         mark(box)
       }
     })

@@ -127,7 +127,7 @@ def test_slides_fit_a_telephone(shown, open_page, stem):
         "width=device-width, initial-scale=1"
     )
     assert page.evaluate(WRONG) == []
-    assert min(page.evaluate(LABELS)) > 4.5
+    assert min(page.evaluate(LABELS)) > 6
     # what is wider, code most of all, moves to its end before the next slide comes
     wide = "(slide, h) => { Reveal.slide(h, 0, 99); const p = slide.querySelector('pre')"
     wide += "; return p && p.scrollWidth > p.clientWidth + 1 }"

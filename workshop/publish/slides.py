@@ -122,6 +122,7 @@ def print_slides(pages: list[Path]) -> None:
         for page in pages:
             tab.goto(page.resolve().as_uri())
             tab.wait_for_function("window.Reveal && Reveal.isReady()", timeout=120_000)
+            tab.evaluate("Reveal.configure({ controls: false, progress: false })")
             shots = []
             for place in tab.evaluate("Reveal.getSlides().map(s => Reveal.getIndices(s))"):
                 tab.evaluate("([h, v]) => Reveal.slide(h, v, 99)", [place["h"], place.get("v", 0)])
