@@ -1,11 +1,18 @@
 // What is wider than its place scrolls: by the keyboard, too, and its edge fades as long as more follows.
+// A panorama begins in its middle, which looks forward.
 const WIDE = "article pre, div.math, .table-wrapper, .picture"
+const begun = new WeakSet()
 
 function mark(box) {
   const hidden = box.scrollWidth - box.clientWidth
   if (hidden > 1) box.tabIndex = 0
   else box.removeAttribute("tabindex")
+  if (hidden > 1 && !begun.has(box)) {
+    begun.add(box)
+    if (box.closest(".stills") || /panorama/i.test(box.querySelector("img")?.alt)) box.scrollLeft = hidden / 2
+  }
   box.classList.toggle("more", hidden - box.scrollLeft > 1)
+  box.classList.toggle("less", hidden > 1 && box.scrollLeft > 1)
 }
 
 const sizes = new ResizeObserver(entries => entries.forEach(entry => mark(entry.target)))
