@@ -1,9 +1,9 @@
 """The paths of SGM on a CPU: all threads at once, and no L_r of a whole volume is ever stored.
 
 Rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the
-bottom ↑ ↗ ↖. The last L of a path is kept in a slot of its scanline, which is (x − y) mod W for ↘.
-A line has two slots: a row reads one and writes the other (12 W N floats for both passes, 11 MB at
-1200×300×192), so that one loop over n does all: message, cost, sum and minimum.
+bottom ↑ ↗ ↖. The last L of a path is kept in a slot of its scanline, which is (x − y) mod W for ↘,
+and the next one written over it (6 W N floats for both passes, 6 MB at 1200×300×192): one loop over
+n does all, message, cost, sum and minimum, and keeps the L(n − 1) that it has overwritten.
 
 Threads never write to the same memory at the same time. The two passes start at opposite ends and
 run at once, one band of rows each. A band is cut into strips of columns. Because a path moves by at
@@ -27,13 +27,13 @@ from omnistereo_lib.reference import MAX_LAPS
 from omnistereo_lib.stereo.kernels.compiled import compiled, minimum
 from omnistereo_lib.stereo.threads import map_threads
 
-INFINITY = np.float32(np.inf)
+INFINITY: Any = np.float32(np.inf)
 # Sums of costs and penalties below it are finite.
 LARGEST = np.float32(1e30)
 # The width of a strip in columns.
 _STRIP = 128
-# Floats of a cache line. In a slot L starts at the second one, between infinite neighbours; the
-# first begins with min L.
+# Floats of a cache line. In a slot L starts at the second one, with infinity behind it; the first
+# begins with min L.
 _LINE = 16
 # A tile: up, top, bottom, first, last, slope.
 _Tile = tuple[bool, int, int, int, int, int]
@@ -48,9 +48,9 @@ def sum_paths(
     total = _aligned(cost.shape)
     # The data term of the unknown cells of each ray.
     fill = np.empty((H, W), np.float32)
-    # Of the passes down and up, for even and odd rows: straight on, to the right, to the left.
+    # Of the passes down and up: straight on, to the right, to the left.
     empty = _empty_slot(N)
-    slots = _aligned((2, 2, 3, W, len(empty)))
+    slots = _aligned((2, 3, W, len(empty)))
     slots[:] = empty
 
     # Along the rows, four at a time in a thread; this also fills the unknown cells.
@@ -71,7 +71,7 @@ def sum_paths(
 def _empty_slot(N: int) -> NDArray[np.float32]:
     """Return the slot of a path that begins: its message is 0."""
     slot = np.zeros(_LINE * (2 + math.ceil(N / _LINE)), np.float32)
-    slot[[_LINE - 1, _LINE + N]] = INFINITY
+    slot[_LINE + N] = INFINITY
     return slot
 
 
@@ -153,7 +153,7 @@ def _scan_row(
     cost: NDArray[Any],
     fill: NDArray[Any],
     path: NDArray[Any],
-    empty: NDArray[Any],
+    slot: NDArray[Any],
     leftward: bool,
     wrap: bool,
     p1: float,
@@ -161,25 +161,23 @@ def _scan_row(
 ) -> None:
     """Write the L of one path along one row to path (W, N), in laps until nothing changes."""
     W, N = cost.shape
-    slots = np.empty((2, len(empty)), np.float32)
-    slots[:] = empty
     # Around the panorama a path has no beginning. The first lap starts from nothing, each other one
     # from the end of the last, until a pixel's costs repeat: so would all after it.
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
             x = W - 1 - i if leftward else i
-            old, new = (lap * W + i) % 2, (lap * W + i + 1) % 2
-            lowest, least, changed = slots[old, 0], INFINITY, lap == 0
+            c, f, row = cost[x], fill[x], path[x]
+            lowest, least, before, changed = slot[0], INFINITY, INFINITY, lap == 0
             for n in range(N):
                 k = n + _LINE
-                M = _message(slots[old, k - 1], slots[old, k], slots[old, k + 1], p1, lowest, p2)
-                L = _known(cost[x, n], fill[x]) + M
-                changed |= path[x, n] != L
-                slots[new, k] = path[x, n] = L
-                least = minimum(least, L)
+                at = slot[k]
+                L = _known(c[n], f) + _message(before, at, slot[k + 1], p1, lowest, p2)
+                changed |= row[n] != L
+                slot[k] = row[n] = L
+                least, before = minimum(least, L), at
             if not changed:
                 return  # converged: the rest of the row cannot change
-            slots[new, 0] = least
+            slot[0] = least
 
 
 @compiled(nogil=True)
@@ -195,13 +193,14 @@ def _scan_rows(
     """Write the sum of the two paths along rows, and fill; return whether a cost is too large."""
     H, W, N = cost.shape
     too_large = False
-    leftward = np.empty((W, N), np.float32)
+    leftward, slot = np.empty((W, N), np.float32), np.empty_like(empty)
     for y in range(H):
         for x in range(W):
             fill[y, x] = _fill_value(cost[y, x])
             too_large |= fill[y, x] == INFINITY
-        _scan_row(cost[y], fill[y], total[y], empty, False, wrap, p1, p2)
-        _scan_row(cost[y], fill[y], leftward, empty, True, wrap, p1, p2)
+        for back, path in ((False, total[y]), (True, leftward)):
+            slot[:] = empty
+            _scan_row(cost[y], fill[y], path, slot, back, wrap, p1, p2)
         for x in range(W):
             for n in range(N):
                 c = cost[y, x, n]
@@ -210,12 +209,11 @@ def _scan_rows(
     return too_large
 
 
-@njit
+@njit(forceinline=True)
 def _extend_one(
     cost: NDArray[Any],
     fill: NDArray[Any],
-    old: NDArray[Any],
-    new: NDArray[Any],
+    slots: NDArray[Any],
     p1: float,
     p2: float,
     total: NDArray[Any],
@@ -223,27 +221,24 @@ def _extend_one(
     """Extend one path by a pixel in each column, and add it."""
     columns, N = cost.shape
     for x in range(columns):
-        lowest, least = old[x, 0], INFINITY
+        lowest, least, before = slots[x, 0], INFINITY, INFINITY
         for n in range(N):
             k = n + _LINE
-            M = _message(old[x, k - 1], old[x, k], old[x, k + 1], p1, lowest, p2)
-            L = _known(cost[x, n], fill[x]) + M
-            new[x, k] = L
+            at = slots[x, k]
+            L = _known(cost[x, n], fill[x]) + _message(before, at, slots[x, k + 1], p1, lowest, p2)
+            slots[x, k] = L
             total[x, n] += L
-            least = minimum(least, L)
-        new[x, 0] = least
+            least, before = minimum(least, L), at
+        slots[x, 0] = least
 
 
-@njit
+@njit(forceinline=True)
 def _extend_three(
     cost: NDArray[Any],
     fill: NDArray[Any],
-    old_a: NDArray[Any],
-    old_b: NDArray[Any],
-    old_c: NDArray[Any],
-    new_a: NDArray[Any],
-    new_b: NDArray[Any],
-    new_c: NDArray[Any],
+    slots_a: NDArray[Any],
+    slots_b: NDArray[Any],
+    slots_c: NDArray[Any],
     p1: float,
     p2: float,
     total: NDArray[Any],
@@ -251,22 +246,20 @@ def _extend_three(
     """Extend three paths by a pixel in each column, and add them."""
     columns, N = cost.shape
     for x in range(columns):
-        low_a, low_b, low_c, f = old_a[x, 0], old_b[x, 0], old_c[x, 0], fill[x]
-        least_a = least_b = least_c = INFINITY
+        low_a, low_b, low_c, f = slots_a[x, 0], slots_b[x, 0], slots_c[x, 0], fill[x]
+        least_a = least_b = least_c = before_a = before_b = before_c = INFINITY
         for n in range(N):
-            k = n + _LINE
-            c = _known(cost[x, n], f)
-            a = c + _message(old_a[x, k - 1], old_a[x, k], old_a[x, k + 1], p1, low_a, p2)
-            b = c + _message(old_b[x, k - 1], old_b[x, k], old_b[x, k + 1], p1, low_b, p2)
-            d = c + _message(old_c[x, k - 1], old_c[x, k], old_c[x, k + 1], p1, low_c, p2)
-            new_a[x, k], new_b[x, k], new_c[x, k] = a, b, d
+            k, c = n + _LINE, _known(cost[x, n], f)
+            at_a, at_b, at_c = slots_a[x, k], slots_b[x, k], slots_c[x, k]
+            a = c + _message(before_a, at_a, slots_a[x, k + 1], p1, low_a, p2)
+            b = c + _message(before_b, at_b, slots_b[x, k + 1], p1, low_b, p2)
+            d = c + _message(before_c, at_c, slots_c[x, k + 1], p1, low_c, p2)
+            slots_a[x, k], slots_b[x, k], slots_c[x, k] = a, b, d
             total[x, n] += a + b + d
-            least_a, least_b, least_c = (
-                minimum(least_a, a),
-                minimum(least_b, b),
-                minimum(least_c, d),
-            )
-        new_a[x, 0], new_b[x, 0], new_c[x, 0] = least_a, least_b, least_c
+            least_a, before_a = minimum(least_a, a), at_a
+            least_b, before_b = minimum(least_b, b), at_b
+            least_c, before_c = minimum(least_c, d), at_c
+        slots_a[x, 0], slots_b[x, 0], slots_c[x, 0] = least_a, least_b, least_c
 
 
 @compiled(nogil=True)
@@ -289,33 +282,20 @@ def _advance(
         # `step` rows after the first of the pass, a diagonal has moved by as many columns.
         y = bottom - 1 - j if up else top + j
         step = H - 1 - y if up else y
-        old, new = slots[int(up), step % 2], slots[int(up), 1 - step % 2]
-        column, stop = first + slope * j, last - slope * j
+        line, column, stop = slots[int(up)], first + slope * j, last - slope * j
         while column < stop:
             # The scanlines that cross column x here began at columns x, a = x - step, b = x + step.
             x, a, b = column % W, (column - step) % W, (column + step) % W
             size = min(stop - column, W - max(x, a, b))
             # Without wrapping, a diagonal that comes in from the side starts anew.
             if not wrap and x == 0:
-                old[1, a] = empty
+                line[1, a] = empty
             if not wrap and x + size == W:
-                old[2, b + size - 1] = empty
+                line[2, b + size - 1] = empty
             of_x, of_a, of_b = slice(x, x + size), slice(a, a + size), slice(b, b + size)
             c, f, s = cost[y, of_x], fill[y, of_x], total[y, of_x]
             if diagonals:
-                _extend_three(
-                    c,
-                    f,
-                    old[0, of_x],
-                    old[1, of_a],
-                    old[2, of_b],
-                    new[0, of_x],
-                    new[1, of_a],
-                    new[2, of_b],
-                    p1,
-                    p2,
-                    s,
-                )
+                _extend_three(c, f, line[0, of_x], line[1, of_a], line[2, of_b], p1, p2, s)
             else:
-                _extend_one(c, f, old[0, of_x], new[0, of_x], p1, p2, s)
+                _extend_one(c, f, line[0, of_x], p1, p2, s)
             column += size
