@@ -203,7 +203,11 @@ class Up(nn.ModuleList):
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
         """Return the finer level (B, C, W, H, N), given the coarser and that of the way down."""
         project, merge = self
-        return merge(double(project(x)).add_(level))
+        # Into the finer level, which no gradient needs then: the largest array of the U-net less.
+        doubled = double(project(x))
+        x = level.add_(doubled) if fuses(level) else doubled.add_(level)
+        del doubled
+        return merge(x)
 
 
 class VolumeNet(StoredNetwork):
@@ -256,9 +260,9 @@ class VolumeNet(StoredNetwork):
     def prepare(self, volume: Tensor) -> Tensor:
         """Return the volume (B, 9, W, H, N) as a copy in the layout and precision of the U-net."""
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
-        # leaves odd strides; at once in the precision of the products, in half the memory.
-        # oneDNN's blocked and prepacked forms take as long: 10.7 to 12.4 ms of one core for 16
-        # channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has 25.
+        # leaves odd strides. oneDNN's blocked and prepacked forms take as long: 10.7 to 12.4 ms of
+        # one core for 16 channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has
+        # 25.
         kind = volume.device.type
         half = not self.training and torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if half else volume.dtype

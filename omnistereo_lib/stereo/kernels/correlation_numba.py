@@ -14,6 +14,7 @@ CHANNELS, GROUPS = 32, 8
 _SIZE = CHANNELS // GROUPS
 # Cells correlated at a time, so few that their features stay in the cache of a core.
 _CELLS = 1 << 14
+_ROUNDED = 1 << 11
 
 
 def normalize(maps: Tensor, visible: Tensor) -> Tensor:
@@ -48,13 +49,20 @@ class _CellCorrelation(torch.autograd.Function):
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
         size, trains = uv[0].shape[:3], any(ctx.needs_input_grad)
-        volume = torch.empty(*size, GROUPS + 1, dtype=torch.float32)
+        # At once in the precision of the products that follow: half the memory.
+        half = torch.is_autocast_enabled("cpu") and not trains
+        kind = torch.get_autocast_dtype("cpu") if half else torch.float32
+        volume = torch.empty(*size, GROUPS + 1, dtype=kind)
         totals = torch.empty(*(size if trains else (0, 0, 0)), CHANNELS, dtype=torch.float32)
 
         def correlate_part(columns: slice) -> None:
             places = np.stack([of_camera[columns].reshape(-1, 2).numpy() for of_camera in uv])
-            parts = (one[columns].reshape(-1, one.shape[-1]).numpy() for one in (volume, totals))
-            _correlate_cells(table, sizes, places, *parts)
+            out, sums = (one[columns].view(-1, one.shape[-1]) for one in (volume, totals))
+            cells = out.float()  # `out` itself, or a copy
+            _correlate_cells(table, sizes, places, cells.numpy(), sums.numpy())
+            # so few at a time that torch starts no threads of its own
+            for k in range(0, len(out) if half else 0, _ROUNDED):
+                out[k : k + _ROUNDED] = cells[k : k + _ROUNDED]
 
         each = max(1, _CELLS // max(1, size[1] * size[2]))
         list(map_threads(correlate_part, [slice(x, x + each) for x in range(0, size[0], each)]))
