@@ -7,7 +7,9 @@ lateness of all: any number of cameras may be late, and nothing is asked about w
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
@@ -76,7 +78,12 @@ class LateCameras:
         # All shifts that are tried, and for each pair of cameras the matches near the planes at
         # each shift.
         shifts = np.add.outer(np.arange(-reach, reach + 1), parts).ravel()
-        score = {pair: self._scores(pair, reach, parts) for pair in self.pairs}
+        frames = range(len(self.images))
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            # A camera a thread: what is kept is computed once.
+            list(pool.map(lambda c: [self._features(t, c) for t in frames], range(self.cameras)))
+            scores = pool.map(lambda pair: self._scores(pair, reach, parts), self.pairs)
+        score = dict(zip(self.pairs, scores, strict=True))
         cost, shift = np.zeros((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         clear, weight = np.ones((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         for (i, j), found in score.items():

@@ -21,7 +21,7 @@ _WRITING_S, _CORES = 4.0, 2
 # Peak memory of `depth`, measured at 320 to 2400 columns and kept within a tenth: GiB at least, for
 # the U-net, whose volumes do not grow; and GiB and bytes for each cell, for the cost volume.
 _LEAST_GIB, _GIB, _CELL_BYTES = 1.06, 0.72, 7.7
-_FEW_FRAMES = 10  # are soon done
+_FEW_FRAMES, _SOON_S = 10, 60.0  # are soon done: no other method is timed
 _LIVE_S = 1 / 1.5  # of a frame that is watched
 _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
@@ -47,7 +47,8 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
 def say_recording(
     sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str | None
 ) -> str:
-    """Say how long the frames of a recording will take, as its first one does; return the method.
+    """Say how long the frames of a recording will take, as its first one does, and by the other
+    methods, if that is more than a minute; return the method.
 
     Args:
         method: None: the one with the lowest errors, if frames are few or it keeps `_PACE_S` here;
@@ -57,8 +58,10 @@ def say_recording(
     seconds: dict[str, float] = {}
     if frames >= _FEW_FRAMES:
         say("timing the methods on one frame: a few seconds")
-        names = dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD])
-        seconds = {name: _measure(sweep, images, name) for name in names}
+        for name in dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD]):
+            seconds[name] = _measure(sweep, images, name)
+            if seconds[name] <= min(_PACE_S, _SOON_S / frames):
+                break
     if method is None:
         keeps = seconds.get(FRAME_METHOD, 0.0) <= _PACE_S
         chosen = FRAME_METHOD if keeps else VIDEO_METHOD
