@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.pose import Pose
     from omnistereo_tools.world.build import RecordedFrames
-    from omnistereo_tools.world.fusion import Volume
+    from omnistereo_tools.world.fusion import View, Volume
     from omnistereo_tools.world.page import PageView
 
 _USED = 0.9  # of the frames, in a world that is called good
@@ -75,9 +75,10 @@ def run(options: WorldOptions) -> None:
         frame = frames.data[k]
         warn_of(f"frame {frame.number}: {doubt}" for doubt in image_doubts(frame, frames.grid))
     poses = frames.find_poses(out / "steps.json")
-    volume = _make_volume(options, frames, poses)
-    views = frames.integrate(volume, poses)
-    frames.take_out(volume, views, frames.refine(volume, poses, refined))
+    views = dict(frames.each("colouring", poses, frames.view))
+    volume = _make_volume(options, frames, views)
+    frames.integrate(volume, views)
+    frames.integrate(volume, views, frames.refine(volume, poses, refined))
     _write(options, frames, poses, volume, refined)
     written = {str(path.relative_to(out)): checksum(read_bytes(path)) for path in _results(out)}
     write_text(out / "world.json", json.dumps(asked | {"outputs": written}, indent=1) + "\n")
@@ -112,7 +113,7 @@ def _is_done(out: Path, asked: dict[str, Any]) -> bool:
     return not wrong
 
 
-def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose]) -> Volume:
+def _make_volume(options: WorldOptions, frames: RecordedFrames, views: dict[int, View]) -> Volume:
     """Return an empty volume with room for all frames; refuse one that memory does not hold."""
     import numpy as np
 
@@ -121,22 +122,19 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
     from omnistereo_tools.world.fusion import Volume, bytes_needed, touched_blocks
 
     keys = np.zeros(0, np.int64)
-    for number, pose in poses.items():
-        view = frames.view(frames.data.frame(number), pose, colored=False)
+    for view in views.values():
         keys = np.union1d(keys, touched_blocks(view, frames.grid, options.voxel, options.range))
     if len(keys) == 0:
         raise OmnistereoError(
             f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range"
         )
-    of_views = 4 * (2 + frames.channels) * len(poses) * np.prod(frames.grid.shape)
-    need = bytes_needed(keys, frames.channels) + int(of_views)
-    free = available_memory(select_device("cpu"))
+    need, free = bytes_needed(keys, frames.channels), available_memory(select_device("cpu"))
     if need > free:
         raise OmnistereoError(
             f"not enough memory: needs {need / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free. "
             "Pass a larger --voxel or a smaller --range."
         )
-    say(f"fusing {len(poses)} frames: {need / 2**30:.2g} GiB of memory")
+    say(f"fusing {len(views)} frames: {need / 2**30:.2g} GiB of memory")
     return Volume(keys, options.voxel, options.range, frames.channels)
 
 

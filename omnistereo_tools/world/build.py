@@ -247,21 +247,11 @@ class RecordedFrames:
         """Where features are looked for, which takes a second to compute; poses do not matter."""
         return SightingFinder(self.sweep.rig, self.grid)
 
-    def view(self, frame: Frame, pose: Pose, colored: bool = True) -> View:
+    def view(self, frame: Frame, pose: Pose) -> View:
         """Return what a frame knows of the world."""
         inverse = frame.inverse_depth
-        color = (
-            self.panorama(frame, inverse)
-            if colored
-            else np.zeros((*self.grid.shape, 1), np.float32)
-        )
-        return View.of(
-            pose,
-            inverse,
-            read_inverse_depth(self.confidence_path(frame), 1.0),
-            color,
-            self.grid.step,
-        )
+        confidence = read_inverse_depth(self.confidence_path(frame), 1.0)
+        return View.of(pose, inverse, confidence, self.panorama(frame, inverse), self.grid.step)
 
     def find_poses(self, path: Path) -> dict[int, Pose]:
         """Return the pose rig → world of each frame whose step is sure; steps that `path` holds are
@@ -329,23 +319,19 @@ class RecordedFrames:
             )
         return poses
 
-    def integrate(self, volume: Volume, poses: dict[int, Pose]) -> dict[int, View]:
-        """Fuse the frames; return what each knows."""
-        views = dict[int, View]()
-        for number, view in self.each("fusing", poses, self.view):
-            volume.integrate(view, self.grid)
-            views[number] = view
-        return views
-
-    def take_out(
-        self, volume: Volume, views: dict[int, View], moving: dict[int, NDArray[np.bool_]]
+    def integrate(
+        self,
+        volume: Volume,
+        views: dict[int, View],
+        moving: dict[int, NDArray[np.bool_]] | None = None,
     ) -> None:
-        """Take the rays that move, (H, W) of each frame, out of the volume again."""
-        progress = progress_bar("frame")
+        """Fuse the frames, or take the rays that move, (H, W) of each, out of the volume again."""
+        progress, words = progress_bar("frame"), "taking out what moves" if moving else "fusing"
         for done, (number, view) in enumerate(views.items()):
-            progress(done, len(views), f"taking out what moves, frame {number}")
-            weight = np.where(moving[number], -view.weight, 0)
-            volume.integrate(replace(view, weight=weight), self.grid)
+            progress(done, len(views), f"{words}, frame {number}")
+            if moving is not None:
+                view = replace(view, weight=np.where(moving[number], -view.weight, 0))
+            volume.integrate(view, self.grid)
         progress(len(views), len(views), "")
 
     def refine(
