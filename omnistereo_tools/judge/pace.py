@@ -20,7 +20,7 @@ _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 # Peak memory of `depth`, measured at 320 to 2400 columns and kept within a tenth: GiB at least, for
 # the U-net, whose volumes do not grow; and GiB and bytes for each cell, for the cost volume.
-_LEAST_GIB, _GIB, _CELL_BYTES = 1.06, 0.72, 7.7
+_LEAST_GIB, _GIB, _CELL_BYTES = 0.92, 0.64, 4.9
 _FEW_FRAMES, _SOON_S = 10, 60.0  # are soon done: no other method is timed
 _LIVE_S = 1 / 1.5  # of a frame that is watched
 _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour

@@ -32,8 +32,8 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
     first, second, third = capsys.readouterr().err.splitlines()
     assert first.startswith("volumenet takes about ")
-    assert " and 1.1 GiB" in first
-    assert " and 1.4 GiB" in second
+    assert " and 0.9 GiB" in first
+    assert " and 1.1 GiB" in second
     assert first != second
     assert third == "method: volumenet on cuda"
 
