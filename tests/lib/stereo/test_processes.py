@@ -91,7 +91,7 @@ def test_what_a_thread_computes_at_the_fork_does_not_block_the_child():
 
 
 if __name__ in ("__main__", "__mp_main__"):  # in processes of its own
-    # not 8 spheres: of the one at the bottom of the U-net, oneDNN (torch 2.13) makes noise in bfloat16
+    # Not 8: where one sphere is left, oneDNN (torch 2.13.0) makes noise of bfloat16.
     correlation.COARSE = (32, 16)
 if __name__ == "__main__":
     main()
