@@ -245,7 +245,8 @@ class VolumeNet(StoredNetwork):
     ) -> Tensor:
         """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet`."""
         features = [self.features(image, mask) for image, mask in zip(images, visible, strict=True)]
-        return self.compare(features, coordinates)
+        with full_precision(features[0]):
+            return self.compare(features, coordinates)
 
     def compare(
         self, features: Sequence[Tensor], coordinates: Sequence[Tensor] | Sequence[Coordinates]
@@ -299,11 +300,11 @@ class VolumeNet(StoredNetwork):
         # The logits of every cell, from a coarse volume and a finer one.
         logits = []  # (1, w, h, n) each
         for size in sizes:
-            correlation = self.correlation_at(sweep, frame, size, step)  # (9, w, h, n)
-            # The last channel is k / 4, so 0.5 for two cameras.
-            shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
-            step("U-net")
             with autocast(self.precision, device):
+                correlation = self.correlation_at(sweep, frame, size, step)  # (9, w, h, n)
+                # The last channel is k / 4, so 0.5 for two cameras.
+                shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
+                step("U-net")
                 prepared = self.prepare(correlation[None])
                 del correlation  # before the U-net, whose levels take the most memory
                 logits.append(self.run_unet(prepared) / len(sizes))
@@ -346,8 +347,9 @@ class VolumeNet(StoredNetwork):
                 step(f"camera {k} of {len(rig)}")
                 normalized = normalize(torch.from_numpy(image).to(device), mask)
                 features.append(self.features(normalized, mask))
-            step("correlation")
-            return self.compare(features, coordinates)
+        # Not in the precision of the products, unless they are to follow at once, as in `volume`.
+        step("correlation")
+        return self.compare(features, coordinates)
 
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:

@@ -252,6 +252,20 @@ def test_two_frames_of_one_sweep(network):
     assert torch.allclose(in_color, first, atol=1e-3)
 
 
+@torch.no_grad()
+def test_a_correlation_that_is_asked_for_is_in_float32():
+    """A student's own network takes it, whatever the precision of the features."""
+    bundled, rig, size = VolumeNet.pretrained(), scene.rig(width=60, height=56), (32, 16, 8)
+    bundled.precision = "bfloat16"
+    frame, sweep = osl.Frame.of(rig, scene.images(rig, finest=0.5)), SphereSweep(rig, GRID)
+    alone = bundled.correlation_at(sweep, frame, size)
+    images, seen = torch.rand(2, 56, 60), torch.ones(2, 56, 60, dtype=torch.bool)
+    coordinates = feature_coordinates(rig, GRID, size)[:2]
+    with torch.autocast("cpu", torch.bfloat16):
+        within = bundled.correlation(images, seen, coordinates)
+    assert alone.dtype == within.dtype == torch.float32
+
+
 def test_bfloat16_is_close(monkeypatch):
     # Smaller than usual: most processors emulate bfloat16, slowly.
     monkeypatch.setattr(
