@@ -33,12 +33,8 @@ def empty_scene() -> None:
     scene.view_settings.view_transform = "Raw"
     cycles = scene.cycles
     cycles.device, cycles.use_adaptive_sampling = "CPU", False
-    (
-        cycles.max_bounces,
-        cycles.diffuse_bounces,
-        cycles.glossy_bounces,
-        cycles.transmission_bounces,
-    ) = 3, 2, 2, 0
+    cycles.max_bounces, cycles.diffuse_bounces = 3, 2
+    cycles.glossy_bounces, cycles.transmission_bounces = 2, 0
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.sample_clamp_indirect = 6.0
     cycles.denoiser, cycles.denoising_input_passes = "OPENIMAGEDENOISE", "RGB_ALBEDO_NORMAL"
@@ -63,10 +59,8 @@ def fisheye_picture(
         seed: Of the sampler: the same seed gives the same pixels on the same version and processor.
     """
     scene, camera = bpy.context.scene, bpy.context.scene.camera.data
-    camera.panorama_type, camera.fisheye_fov = (
-        "FISHEYE_LENS_POLYNOMIAL",
-        np.radians(lens.rendered_fov_deg),
-    )
+    camera.panorama_type = "FISHEYE_LENS_POLYNOMIAL"
+    camera.fisheye_fov = np.radians(lens.rendered_fov_deg)
     for k, value in enumerate(lens.blender_coefficients()):
         setattr(camera, f"fisheye_polynomial_k{k}", value)
     camera.shift_x, camera.shift_y = lens.blender_shift()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -171,6 +171,16 @@ def select_shard(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
     return numbers[int(part) - 1 :: int(parts)]
 
 
+def begin_set(
+    folder: Path, rig: RenderRig, size: tuple[int, int], first: int, last: int, **more: str
+) -> None:
+    """Make the folders of the cameras and write config.yaml."""
+    for camera in range(1, len(rig.cameras) + 1):
+        make_folder(folder / f"cam{camera}")
+    layout = {"img_fmt": "cam%d/%04d.jpg", "start": first, "step": 1, "end": last}
+    write_config(folder / "config.yaml", rig, size, layout | more)
+
+
 def render_set(
     folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: int
 ) -> Iterator[int]:
@@ -185,21 +195,10 @@ def render_set(
 
     missing = [number for number in numbers if not is_complete(folder, images, number)]
     rig = make_rig(seed, images.rig)
-    for camera in range(1, len(rig.cameras) + 1):
-        make_folder(folder / f"cam{camera}")
-    layout = {
-        "img_fmt": "cam%d/%04d.jpg",
-        "start": images.first,
-        "step": 1,
-        "end": images.first + images.count - 1,
-    }
-    if images.truth_of:
-        layout["truth"] = f"../../{images.truth_of}"
-    write_config(folder / "config.yaml", rig, images.size, layout)
+    truth = {"truth": f"../../{images.truth_of}"} if images.truth_of else {}
+    begin_set(folder, rig, images.size, images.first, images.first + images.count - 1, **truth)
     if images.world == "city" and not images.truth_of:
-        _write_trajectory(
-            folder / "trajectory.txt", images, tuple(sorted({*images.shipped, *numbers})), seed
-        )
+        _write_trajectory(folder / "trajectory.txt", images, {*images.shipped, *numbers}, seed)
     if not missing:
         return
     empty_scene()
@@ -207,14 +206,8 @@ def render_set(
     for number in missing:
         T_world_rig = place_rig(number)
         pictures, truths = _render_frame(images, rig, T_world_rig, exposure, [seed, number])
-        write_frame(
-            frame_paths(folder, images, number),
-            pictures,
-            truths,
-            images.quality,
-            rig.min_depth,
-            images.kept,
-        )
+        paths = frame_paths(folder, images, number)
+        write_frame(paths, pictures, images.quality, truths, rig.min_depth, images.kept)
         yield number
 
 
@@ -224,11 +217,11 @@ def true_poses(images: ImageSet, seed: int) -> Callable[[int], Pose]:
     return lambda number: drive.pose(number - images.first) @ Pose.from_vector(images.T_drive_rig)
 
 
-def _write_trajectory(path: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> None:
+def _write_trajectory(path: Path, images: ImageSet, numbers: set[int], seed: int) -> None:
     """Write the true poses of frames in the axes of the first one."""
     pose = true_poses(images, seed)
-    T_first_world = pose(numbers[0]).inverse()
-    write_text(path, trajectory_tum({number: T_first_world @ pose(number) for number in numbers}))
+    T_first_world = pose(min(numbers)).inverse()
+    write_text(path, trajectory_tum({k: T_first_world @ pose(k) for k in sorted(numbers)}))
 
 
 def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
@@ -268,9 +261,8 @@ def _render_frame(
     pictures = []
     for i, camera in enumerate(rig.cameras):
         sampler_seed = 4 * seed[1] + i
-        radiance = fisheye_picture(
-            camera.lens, T_world_rig @ camera.T_rig_cam, images.size, images.samples, sampler_seed
-        )
+        pose = T_world_rig @ camera.T_rig_cam
+        radiance = fisheye_picture(camera.lens, pose, images.size, images.samples, sampler_seed)
         noise = np.random.default_rng([*seed, i])
         pictures.append(develop(radiance, camera.lens, camera.sensor, exposure, images.gray, noise))
     return pictures, [
@@ -281,10 +273,10 @@ def _render_frame(
 def write_frame(
     paths: list[Path],
     pictures: list[NDArray],
-    truths: list[NDArray],
     quality: int,
-    min_depth: float,
-    kept: int,
+    truths: Sequence[NDArray] = (),
+    min_depth: float = 1.0,
+    kept: int = 1,
 ) -> None:
     """Write a frame's files atomically; of PNG truths every step `kept` is used."""
     from PIL import Image
@@ -316,15 +308,13 @@ def forget_partial(folder: Path, images: ImageSet, numbers: tuple[int, ...]) -> 
     Other frames are left alone: another machine may be writing them.
     """
     written = [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.*")]
+    names = [(path, path.stem.lstrip(".")) for path in written]
     left = [
         path
-        for path in written
-        if path.stem.lstrip(".").isdigit() and int(path.stem.lstrip(".")) in numbers
-    ]
-    left = [
-        path
-        for path in left
-        if path.name[0] == "." or not is_complete(folder, images, int(path.stem))
+        for path, name in names
+        if name.isdigit()
+        and int(name) in numbers
+        and (path.name[0] == "." or not is_complete(folder, images, int(name)))
     ]
     for path in left:
         path.unlink()

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,12 +101,10 @@ def _photograph(
     from workshop.render.blender import fisheye_picture
     from workshop.render.camera.sensor import develop
 
-    light = [
-        fisheye_picture(
-            camera.lens, T_world_rig @ camera.T_rig_cam, worlds.size, worlds.samples, 8 * number + i
-        )
-        for i, camera in enumerate(rig.cameras)
-    ]
+    light = []
+    for i, camera in enumerate(rig.cameras):
+        pose, sampler_seed = T_world_rig @ camera.T_rig_cam, 8 * number + i
+        light.append(fisheye_picture(camera.lens, pose, worlds.size, worlds.samples, sampler_seed))
     inside = np.concatenate([picture[picture.max(axis=-1) > 0] for picture in light]).mean(axis=-1)
     exposure = rng.uniform(0.14, 0.3) / max(float(np.sqrt(np.median(inside) * inside.mean())), 1e-4)
     return [
@@ -133,7 +132,7 @@ def _write(
             path.parent.mkdir(parents=True)
         layout = {"img_fmt": "cam%d/%04d.jpg", "start": number, "step": 1, "end": number}
         write_config(temporary / "config.yaml", rig, worlds.size, layout, digits=12)
-        write_frame(paths, pictures, [truth], worlds.quality, rig.min_depth, _KEPT)
+        write_frame(paths, pictures, worlds.quality, [truth], rig.min_depth, _KEPT)
         temporary.replace(final)
     except OSError as error:
         raise OmnistereoError(
@@ -146,31 +145,29 @@ def _write(
 Build = Callable[[np.random.Generator, int], tuple[Pose, float]]
 
 
-def _things(seed: int) -> Build:
+def _each_anew(plan_scene: Callable[..., Any], build_scene: Callable[..., None]) -> Build:
     from workshop.render.blender import empty_scene
-    from workshop.render.things.scenes import build_things, plan_things
 
     def build(rng: np.random.Generator, number: int) -> tuple[Pose, float]:
         empty_scene()
-        plan = plan_things(rng)
-        build_things(plan, rng)
+        plan = plan_scene(rng)
+        build_scene(plan, rng)
         return plan.T_world_rig, plan.min_depth
 
     return build
+
+
+def _things(seed: int) -> Build:
+    from workshop.render.things.scenes import build_things, plan_things
+
+    return _each_anew(plan_things, build_things)
 
 
 def _rooms(seed: int) -> Build:
-    from workshop.render.blender import empty_scene
     from workshop.render.indoor.interiors import build_room
     from workshop.render.indoor.rooms import plan_room
 
-    def build(rng: np.random.Generator, number: int) -> tuple[Pose, float]:
-        empty_scene()
-        plan = plan_room(rng)
-        build_room(plan, rng)
-        return plan.T_world_rig, plan.min_depth
-
-    return build
+    return _each_anew(plan_room, build_room)
 
 
 def _streets(seed: int) -> Build:
@@ -185,9 +182,8 @@ def _streets(seed: int) -> Build:
     drive = plan_drive(district, "train", _STREET_STEPS)
 
     def build(rng: np.random.Generator, number: int) -> tuple[Pose, float]:
-        at = drive.pose((17 * number + 5) % _STREET_STEPS).t + np.array(
-            [0.0, 0.0, rng.uniform(-0.5, 0.6)]
-        )
+        at = drive.pose((17 * number + 5) % _STREET_STEPS).t.copy()
+        at[2] += rng.uniform(-0.5, 0.6)
         largest = min(1.6, at[2] - 0.1)  # cars park 1.8 m away
         traffic.show(number, at[:2])
         remove_lights()

@@ -13,31 +13,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import make_folder, write_text
+from omnistereo_lib.files import write_text
 from omnistereo_lib.pictures import is_whole
-from workshop.render.boards.positions import (
-    COLUMNS,
-    ROWS,
-    SQUARE,
-    Capture,
-    CaptureSet,
-    plan_captures,
-)
-from workshop.render.camera.render_rig import RigCamera, make_rig, write_config
+from workshop.render.boards import positions
+from workshop.render.boards.positions import Capture, CaptureSet, plan_captures
+from workshop.render.camera.render_rig import RigCamera, make_rig
+from workshop.render.image_sets import begin_set, image_path, write_frame
 
 _BLUR_PX = 0.5  # of the lens, the standard deviation
 _QUALITY = 75  # of the JPEG files: corners are found to 0.05 px as with 92, in a third of the space
 
 
-def picture_path(folder: Path, number: int, camera: int) -> Path:
-    """Return where the picture of a camera, counted from 1, lies."""
-    return folder / f"cam{camera}" / f"{number:04d}.jpg"
-
-
 def is_captured(folder: Path, captures: CaptureSet, number: int, seed: int) -> bool:
     """Return whether all pictures of a capture are there, and whole."""
     capture = plan_captures(captures, seed)[number - captures.first]
-    return all(is_whole(picture_path(folder, number, camera)) for camera in capture.T_rig_board)
+    return all(is_whole(image_path(folder, number, camera)) for camera in capture.T_rig_board)
 
 
 def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
@@ -50,18 +40,15 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
     """
     entries = []
     for number, capture in enumerate(plan_captures(captures, seed), start=captures.first):
-        views = ",\n   ".join(
-            json.dumps(
-                {"camera": camera, "T_rig_board": pose.as_vector().round(6).tolist()},
-                separators=(",", ":"),
-            )
-            for camera, pose in capture.T_rig_board.items()
-        )
-        mistake = json.dumps(capture.mistake)
-        entries.append(
-            f'  {{"name": "{number:04d}", "mistake": {mistake}, "views": [\n   {views}]}}'
-        )
-    board = json.dumps({"corners": [COLUMNS, ROWS], "square": SQUARE})
+        poses = capture.T_rig_board.items()
+        views = [
+            {"camera": c, "T_rig_board": pose.as_vector().round(6).tolist()} for c, pose in poses
+        ]
+        lines = ",\n   ".join(json.dumps(view, separators=(",", ":")) for view in views)
+        known = f'"name": "{number:04d}", "mistake": {json.dumps(capture.mistake)}'
+        entries.append(f'  {{{known}, "views": [\n   {lines}]}}')
+    corners = [positions.COLUMNS, positions.ROWS]
+    board = json.dumps({"corners": corners, "square": positions.SQUARE})
     text = f'{{"board": {board},\n "captures": [\n' + ",\n".join(entries) + "\n ]}\n"
     write_text(path, text)
 
@@ -77,15 +64,7 @@ def render_captures(
         seed: Of the rig, the boards and the noise.
     """
     rig = make_rig(seed, captures.rig)
-    for camera in range(1, len(rig.cameras) + 1):
-        make_folder(folder / f"cam{camera}")
-    layout = {
-        "img_fmt": "cam%d/%04d.jpg",
-        "start": captures.first,
-        "step": 1,
-        "end": captures.shipped[-1],
-    }
-    write_config(folder / "config.yaml", rig, captures.size, layout)
+    begin_set(folder, rig, captures.size, captures.first, captures.shipped[-1])
     write_truth(folder / "truth.json", captures, seed)
     missing = [number for number in numbers if not is_captured(folder, captures, number, seed)]
     if not missing:
@@ -96,14 +75,10 @@ def render_captures(
     for number in missing:
         capture = plan_captures(captures, seed)[number - captures.first]
         for camera in capture.T_rig_board:
-            path = picture_path(folder, number, camera)
+            path, lens = image_path(folder, number, camera), rig.cameras[camera - 1]
             if not is_whole(path):
-                _write(
-                    path,
-                    _picture(
-                        studio, rig.cameras[camera - 1], capture, camera, captures, [seed, number]
-                    ),
-                )
+                picture = _picture(studio, lens, capture, camera, captures, [seed, number])
+                write_frame([path], [picture], _QUALITY)
         yield number
 
 
@@ -118,17 +93,11 @@ def _picture(
     from workshop.render.camera.sensor import develop
 
     moments = np.linspace(-0.5, 0.5, 9) if capture.sway.any() else np.zeros(1)
-    light = np.mean(
-        [
-            studio.radiance(camera, capture.pose(number, m), captures, 4 * seed[1] + number)
-            for m in moments
-        ],
-        0,
-    )
-    noise = np.random.default_rng([*seed, 31, number])
-    return develop(
-        soften(light, _BLUR_PX), camera.lens, camera.sensor, studio.exposure, True, noise
-    )
+    poses = [capture.pose(number, moment) for moment in moments]
+    sampler = 4 * seed[1] + number
+    light = np.mean([studio.radiance(camera, pose, captures, sampler) for pose in poses], 0)
+    noise, soft = np.random.default_rng([*seed, 31, number]), soften(light, _BLUR_PX)
+    return develop(soft, camera.lens, camera.sensor, studio.exposure, True, noise)
 
 
 def soften(light: NDArray, sigma: float) -> NDArray[np.float64]:
@@ -142,12 +111,3 @@ def soften(light: NDArray, sigma: float) -> NDArray[np.float64]:
             for weight, offset in zip(weights, offsets, strict=True)
         )
     return light
-
-
-def _write(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture under a temporary name, which a later run takes again, then rename it."""
-    from PIL import Image
-
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(picture).save(temporary, "JPEG", quality=_QUALITY, optimize=True)
-    temporary.replace(path)

@@ -152,9 +152,8 @@ def sees(camera: RigCamera, T_rig_board: Pose) -> bool:
 def _spacing(camera: RigCamera, T_rig_board: Pose) -> float:
     """Return the smallest distance between neighbouring visible corners in the picture."""
     grid = true_corners(camera, T_rig_board).reshape(ROWS, COLUMNS, 2)
-    return float(
-        np.nanmin([np.nanmin(np.linalg.norm(np.diff(grid, axis=axis), axis=-1)) for axis in (0, 1)])
-    )
+    steps = (np.linalg.norm(np.diff(grid, axis=axis), axis=-1) for axis in (0, 1))
+    return float(min(map(np.nanmin, steps)))
 
 
 def stands_clear(rig: RenderRig, T_rig_board: Pose) -> bool:
@@ -189,10 +188,9 @@ class _Planner:
 
     def plan(self) -> list[Capture]:
         wanted = self.captures
-        boards = [self._at_the_rim(c, k / wanted.rim) for c in range(4) for k in range(wanted.rim)]
-        boards += [
-            self._in_the_field(c, k / wanted.field) for c in range(4) for k in range(wanted.field)
-        ]
+        rim, field = wanted.rim, wanted.field
+        boards = [self._at_the_rim(c, k / rim) for c in range(4) for k in range(rim)]
+        boards += [self._in_the_field(c, k / field) for c in range(4) for k in range(field)]
         boards += [self._between(c) for c in range(4) for _ in range(wanted.shared)]
         plan = [self._capture(board) for board in boards]
         for k in range(wanted.mistakes):
@@ -202,9 +200,8 @@ class _Planner:
     def _capture(
         self, T_rig_board: Pose, sway: ArrayLike = (0,) * 6, mistake: str | None = None
     ) -> Capture:
-        seen = [
-            i for i, camera in enumerate(self.rig.cameras, start=1) if sees(camera, T_rig_board)
-        ]
+        rig = enumerate(self.rig.cameras, start=1)
+        seen = [i for i, camera in rig if sees(camera, T_rig_board)]
         return Capture(dict.fromkeys(seen, T_rig_board), np.asarray(sway, float), mistake)
 
     # Places
@@ -215,11 +212,8 @@ class _Planner:
         for _ in range(_TRIES):
             azimuth = 2 * np.pi * turn + self.rng.uniform(-0.15, 0.15)
             roll = self.rng.integers(4) * np.pi / 2 - azimuth + self.rng.uniform(-0.25, 0.25)
-            distance, tilt, about = (
-                self.rng.uniform(0.50, 0.70),
-                self.rng.uniform(0, 0.6),
-                self._angle(),
-            )
+            distance, tilt = self.rng.uniform(0.50, 0.70), self.rng.uniform(0, 0.6)
+            about = self._angle()
             for theta in np.radians(np.arange(100, 50, -1)):
                 board = _before(camera, theta, azimuth, distance, roll, tilt, about)
                 if sees(camera, board) and stands_clear(self.rig, board):
@@ -237,19 +231,10 @@ class _Planner:
 
         def draw() -> Pose:
             theta = np.radians(70 * share + self.rng.uniform(0, 15))
-            distance, tilt = (
-                self.rng.uniform(nearest, farthest),
-                self.rng.uniform(0, np.radians(50)),
-            )
-            return _before(
-                self.rig.cameras[c],
-                theta,
-                self._angle(),
-                distance,
-                self._angle(),
-                tilt,
-                self._angle(),
-            )
+            distance = self.rng.uniform(nearest, farthest)
+            tilt, azimuth, roll = self.rng.uniform(0, np.radians(50)), self._angle(), self._angle()
+            camera = self.rig.cameras[c]
+            return _before(camera, theta, azimuth, distance, roll, tilt, self._angle())
 
         return self._draw(draw, [c])
 
@@ -265,9 +250,8 @@ class _Planner:
             away = forward / np.linalg.norm(forward) * (self.rng.uniform(0.35, 0.75) + 0.2 * apart)
             along = (a.t - b.t) * self.rng.uniform(-0.2, 0.2) + (0, self.rng.uniform(-0.5, 0.5), 0)
             center = between + away + along
-            return _facing(
-                center, between, self._angle(), self.rng.uniform(0, np.radians(30)), self._angle()
-            )
+            roll, tilt = self._angle(), self.rng.uniform(0, np.radians(30))
+            return _facing(center, between, roll, tilt, self._angle())
 
         return self._draw(draw, [c, following])
 
@@ -277,9 +261,8 @@ class _Planner:
     def _draw(self, draw: object, cameras: list[int]) -> Pose:
         for _ in range(_TRIES):
             board = draw()
-            if all(sees(self.rig.cameras[c], board) for c in cameras) and stands_clear(
-                self.rig, board
-            ):
+            seen = all(sees(self.rig.cameras[c], board) for c in cameras)
+            if seen and stands_clear(self.rig, board):
                 return board
         raise OmnistereoError(
             f"no board is in view of cameras {[c + 1 for c in cameras]}: another seed may do"
@@ -301,15 +284,11 @@ class _Planner:
         camera = self.rig.cameras[k % 4]
         for _ in range(_TRIES):
             theta, distance = np.radians(self.rng.uniform(80, 105)), self.rng.uniform(0.5, 0.8)
-            board = _before(
-                camera, theta, self._angle(), distance, self._angle(), 0.2, self._angle()
-            )
+            azimuth, roll, about = self._angle(), self._angle(), self._angle()
+            board = _before(camera, theta, azimuth, distance, roll, 0.2, about)
             missing = np.isnan(true_corners(camera, board)[:, 0]).mean()
-            if (
-                0.1 < missing < 0.35
-                and _spacing(camera, board) > _LEGIBLE_PX
-                and stands_clear(self.rig, board)
-            ):
+            legible = 0.1 < missing < 0.35 and _spacing(camera, board) > _LEGIBLE_PX
+            if legible and stands_clear(self.rig, board):
                 return Capture({k % 4 + 1: board}, np.zeros(6), "cut")
         raise OmnistereoError(
             f"no board leaves the field of camera {k % 4 + 1}: another seed may do"

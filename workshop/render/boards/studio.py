@@ -23,8 +23,8 @@ from workshop.render.boards.positions import (
     CaptureSet,
 )
 from workshop.render.camera.render_rig import RigCamera
-from workshop.render.surfaces.materials import Shader, Socket
 from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.shader import Shader
 
 _THICKNESS = 0.008  # of the board
 _FRONT, _RIGHT, _BACK, _LEFT = 4.1, 3.9, -3.7, -4.3
@@ -137,11 +137,10 @@ def _room() -> Mesh:
     return mesh
 
 
-def _matt(name: str, gray: Socket) -> Any:
-    shader = Shader(name)
-    surface = shader.node("ShaderNodeBsdfDiffuse", Color=(gray,) * 3).outputs[0]
-    shader.node("ShaderNodeOutputMaterial", Surface=surface)
-    return shader.material
+def _matt(name: str, gray: float) -> Any:
+    s = Shader(name)
+    s.node("OutputMaterial", s.node("BsdfDiffuse", (gray,) * 3).outputs[0])
+    return s.material
 
 
 def _glowing(name: str, glow: float) -> Any:
@@ -150,14 +149,8 @@ def _glowing(name: str, glow: float) -> Any:
     No ray is aimed at it: rays that leave the board in all directions find it anyway, without
     noise.
     """
-    shader = Shader(name)
-    patches = shader.ramp(shader.noise(0.5, detail=1.0), 0.3, 0.7)
-    level = shader.math("MULTIPLY_ADD", patches, 0.25 * glow)
-    level.node.inputs[2].default_value = 0.75 * glow
-    height = shader.math("MULTIPLY_ADD", shader.height, 0.22)
-    height.node.inputs[2].default_value = 0.70
-    strength = shader.math("MULTIPLY", level, height)
-    shine = shader.node("ShaderNodeEmission", Strength=strength).outputs[0]
-    shader.node("ShaderNodeOutputMaterial", Surface=shine)
-    shader.material.cycles.emission_sampling = "NONE"
-    return shader.material
+    s = Shader(name)
+    patches = s.ramp(s.noise(0.5, detail=1.0), 0.3, 0.7)
+    level = s.math("MULTIPLY_ADD", patches, 0.25 * glow, 0.75 * glow)
+    strength = s.math("MULTIPLY", level, s.math("MULTIPLY_ADD", s.height, 0.22, 0.70))
+    return s.glow((1.0, 1.0, 1.0), strength)

@@ -91,21 +91,9 @@ def _share_models(stage: Stage, rng: np.random.Generator) -> None:
         stage.share(f"person{k}", nature.person(rng, walking=k % 3 > 0))
     for k in range(4):
         stage.share(f"sign{k}", street.sign(k), smooth=False)
-    models = {
-        "lamp": street.lamp_post(),
-        "light": street.traffic_light(),
-        "bench": street.bench(),
-        "bin": street.bin_(),
-        "hydrant": street.hydrant(),
-        "bollard": street.bollard(),
-        "bicycle": street.bicycle(),
-        "kiosk": street.kiosk(),
-        "planter": street.planter(rng),
-        "pole": street.utility_pole(),
-        "shelter": street.bus_shelter(),
-    }
-    for name, mesh in models.items():
-        stage.share(name, mesh)
+    stage.share("planter", street.planter(rng))
+    for name, model in street.MODELS.items():
+        stage.share(name, model())
 
 
 @dataclass(frozen=True)
@@ -139,7 +127,7 @@ def _lot(stage: Stage, lot: Lot, rng: np.random.Generator) -> None:
         return
     mesh, g = Mesh(), lot.ground
     z = KERB_HEIGHT + 0.012
-    mesh.add([(g.x0, g.y0, z), (g.x1, g.y0, z), (g.x1, g.y1, z), (g.x0, g.y1, z)], "grass")
+    mesh.floor((g.x0, g.y0), (g.x1, g.y1), z, "grass")
     y = g.y0 + 0.3 if lot.street_sides[0] else g.y1 - 0.3
     posts = np.arange(g.x0 + 0.1, g.x1, 0.16)
     mesh.box((posts, y, z), (posts + 0.025, y + 0.025, z + 1.5), "dark_trim")
@@ -207,9 +195,8 @@ def _roadside(stage: Stage, block: Block, side: Side, rng: np.random.Generator) 
 
 
 def _small_thing(stage: Stage, side: Side, s: float, name: str, rng: np.random.Generator) -> None:
-    inside = {"kiosk": 1.1, "shelter": 1.2, "planter": 0.8, "bollard": 0.35, "bench": 0.8}.get(
-        name, _CURB_STRIP
-    )
+    wide = {"kiosk": 1.1, "shelter": 1.2, "planter": 0.8, "bollard": 0.35, "bench": 0.8}
+    inside = wide.get(name, _CURB_STRIP)
     turn = np.pi if name == "bench" and rng.random() < 0.5 else 0.0
     stage.put(name, side.at(s, inside), side.yaw + turn, rng.uniform(0.05, 0.6, 3))
 

@@ -36,38 +36,10 @@ PALETTES = {
     "cladding": [(0.26, 0.3, 0.34), (0.4, 0.22, 0.12), (0.2, 0.2, 0.21), (0.42, 0.42, 0.4)],
     "curtain_wall": [(0.1, 0.16, 0.2), (0.12, 0.15, 0.13), (0.16, 0.13, 0.1)],
 }
-_WORDS = (
-    "BAKERY",
-    "CAFE",
-    "BOOKS",
-    "HOTEL",
-    "BANK",
-    "FLOWERS",
-    "PHARMACY",
-    "OPTICS",
-    "MARKET",
-    "TEA ROOM",
-    "SHOES",
-    "PIZZA",
-    "BICYCLES",
-    "RECORDS",
-    "DENTIST",
-    "NOODLES",
-    "TAILOR",
-    "TOYS",
-    "PHOTO",
-    "BARBER",
-    "MUSIC",
-    "TOOLS",
-    "GALLERY",
-    "LAUNDRY",
-    "BURGERS",
-    "LIBRARY",
-    "THEATRE",
-    "GARDEN",
-    "KITCHENS",
-    "CLOCKS",
-)
+_WORDS = ["BAKERY", "CAFE", "BOOKS", "HOTEL", "BANK", "FLOWERS", "PHARMACY", "OPTICS"]
+_WORDS += ["MARKET", "TEA ROOM", "SHOES", "PIZZA", "BICYCLES", "RECORDS", "DENTIST", "NOODLES"]
+_WORDS += ["TAILOR", "TOYS", "PHOTO", "BARBER", "MUSIC", "TOOLS", "GALLERY", "LAUNDRY"]
+_WORDS += ["BURGERS", "LIBRARY", "THEATRE", "GARDEN", "KITCHENS", "CLOCKS"]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ _PAINT = 0.004  # height of road markings above the asphalt
 def ground(district: District) -> Mesh:
     """Return the carriageways, and everything flat that is painted on or let into them."""
     mesh, e = Mesh(), district.extent.inset(-900)
-    mesh.add([(e.x0, e.y0, 0), (e.x1, e.y0, 0), (e.x1, e.y1, 0), (e.x0, e.y1, 0)], "asphalt")
+    mesh.floor((e.x0, e.y0), (e.x1, e.y1), 0, "asphalt")
     rng = np.random.default_rng([district.seed, 2])
     for line in district.ys:
         mesh.place((0, line, 0))
@@ -264,3 +264,14 @@ def parking_slots(start: float, end: float) -> NDArray[np.float64]:
     """Return the middles of the marked bays between two corners, matching the lines of `ground`."""
     bays = np.arange(start + 5.5, end - 5.0, 5.8)
     return (bays[:-1] + bays[1:]) / 2 + 0.05
+
+
+MODELS = {
+    "lamp": lamp_post,
+    "light": traffic_light,
+    "bench": bench,
+    "bin": bin_,
+    "hydrant": hydrant,
+}
+MODELS |= {"bollard": bollard, "bicycle": bicycle, "kiosk": kiosk, "pole": utility_pole}
+MODELS |= {"shelter": bus_shelter}

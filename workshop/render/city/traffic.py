@@ -33,35 +33,20 @@ class Traffic:
                         kind = str(rng.choice(list(vehicles.BODIES)))
                         paint = vehicles.PAINTS[rng.integers(len(vehicles.PAINTS))]
                         item = stage.put(kind, (0, 0, 0), 0.0, paint)
-                        self._cars.append(
-                            (
-                                item,
-                                along_x,
-                                line,
-                                sign,
-                                s - low,
-                                speed,
-                                high - low,
-                                low,
-                                vehicles.BODIES[kind].length,
-                            )
-                        )
+                        lane, run = (along_x, line, sign), (low, s - low, speed, high - low)
+                        self._cars.append((item, lane, run, vehicles.BODIES[kind].length))
 
     def show(self, frame: int, rig_at: ArrayLike) -> None:
         """Move all cars to where they are in `frame`; hide those in the rig's way."""
         rig = np.asarray(rig_at, float)
-        for item, along_x, line, sign, s, speed, length, low, car_length in self._cars:
+        for item, (along_x, line, sign), (low, s, speed, length), car_length in self._cars:
             along = low + (s + sign * speed * frame) % length
             center, yaw = lane_point(along_x, line, sign, along)
             item.location, item.rotation_euler = (*center, 0.0), (0.0, 0.0, yaw)
             direction = np.array([np.cos(yaw), np.sin(yaw)])
-            item.hide_render = item.hide_viewport = bool(
-                distance_to_car(rig, center, direction, car_length) < _CLEARANCE
-                or (
-                    not along_x
-                    and np.abs(self._district.ys - along).min() < HALF_STREET + car_length / 2
-                )
-            )
+            near = distance_to_car(rig, center, direction, car_length) < _CLEARANCE
+            crossing = np.abs(self._district.ys - along).min() < HALF_STREET + car_length / 2
+            item.hide_render = item.hide_viewport = bool(near or (crossing and not along_x))
 
     def shown(self) -> list[tuple[float, float, float, float]]:
         """Return x, y, heading in radians, and length of the cars that are there."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from workshop.render.city import nature
 from workshop.render.city.district import Stage
-from workshop.render.indoor import living_room  # noqa: F401  registers the materials of furniture
 from workshop.render.indoor.rooms import SMALL_MATERIALS, Opening, RoomPlan, wall_frame
-from workshop.render.surfaces.lights import add_light, random_sky
+from workshop.render.surfaces.lights import add_lamp, add_light, random_sky
 from workshop.render.surfaces.mesh_builder import Mesh
 from workshop.render.surfaces.patterns import random_color, random_material, random_materials
 from workshop.render.surfaces.shader import Shader
@@ -63,29 +62,25 @@ def _choose_materials(stage: Stage, rng: np.random.Generator) -> None:
         if side == accent:
             made[f"wall{side}"] = random_material(rng, walls, float(rng.uniform(0.6, 3)), **metres)
     made["wall"] = blank
-    made["ceiling"] = (
-        _paint(rng)
-        if rng.random() < 0.8
-        else random_material(rng, ("bricks", "checks"), 1.0, **metres)
-    )
+    if rng.random() < 0.8:
+        made["ceiling"] = _paint(rng)
+    else:
+        made["ceiling"] = random_material(rng, ("bricks", "checks"), 1.0, **metres)
     floors = ("plain", "grain", "bricks", "bricks", "checks", "clouds", "stripes")
     brown = [(0.42, 0.26, 0.13), (0.2, 0.11, 0.06)] if rng.random() < 0.4 else None
     made["floor"] = random_material(rng, floors, float(rng.uniform(1, 3)), brown, **metres)
-    made["upholstery"] = random_material(
-        rng, ("plain", "grain", "stripes", "checks", "cells"), 4.0, gloss=0.0
-    )
-    made["rug"] = random_material(
-        rng, ("cells", "stripes", "checks", "blots", "cracks"), 4.0, gloss=0.0
-    )
-    made["canvas"] = random_material(
-        rng, ("cells", "blots", "clouds", "print", "gradient"), 3.0, gloss=0.0
-    )
+    cloths = {
+        "upholstery": (("plain", "grain", "stripes", "checks", "cells"), 4.0),
+        "rug": (("cells", "stripes", "checks", "blots", "cracks"), 4.0),
+        "canvas": (("cells", "blots", "clouds", "print", "gradient"), 3.0),
+    }
+    for name, (patterns, scale) in cloths.items():
+        made[name] = random_material(rng, patterns, scale, gloss=0.0)
     if rng.random() < 0.5:
         made["oak"] = _paint(rng)
     if rng.random() < 0.6:
-        made["curtain"] = random_material(
-            rng, ("plain", "stripes", "grain", "print"), 3.0, gloss=0.0
-        )
+        patterns = ("plain", "stripes", "grain", "print")
+        made["curtain"] = random_material(rng, patterns, 3.0, gloss=0.0)
 
 
 def _shell(plan: RoomPlan) -> Mesh:
@@ -114,79 +109,49 @@ def _window_frames(plan: RoomPlan) -> Mesh:
         start, along, outward, _ = wall_frame(plan.size, w.side)
         mesh.place(start, along, outward)
         bars = np.linspace(w.start, w.end - 0.06, 2 + int((w.end - w.start) > 1.2))
-        mesh.box(
-            [(a, 0.1, w.sill) for a in bars], [(a + 0.06, 0.16, w.top) for a in bars], "enamel"
-        )
-        rails = (w.sill, w.top - 0.06)
-        mesh.box(
-            [(w.start, 0.103, a) for a in rails],
-            [(w.end, 0.157, a + 0.06) for a in rails],
-            "enamel",
-        )
+        mesh.box((bars, 0.1, w.sill), (bars + 0.06, 0.16, w.top), "enamel")
+        rails = np.array([w.sill, w.top - 0.06])
+        mesh.box((w.start, 0.103, rails), (w.end, 0.157, rails + 0.06), "enamel")
     return mesh
 
 
 def _outside(stage: Stage, plan: RoomPlan, rng: np.random.Generator) -> None:
     """Put a ground, houses as plain blocks, and a few trees around the room."""
     ground, center = Mesh(), plan.size[:2] / 2
-    ground.add(
-        [(-200, -200, _GARDEN), (200, -200, _GARDEN), (200, 200, _GARDEN), (-200, 200, _GARDEN)],
-        "grass",
-    )
-    away, half = np.linalg.norm(plan.size[:2]), np.zeros(2)
+    ground.floor((-200, -200), (200, 200), _GARDEN, "grass")
+    away = np.linalg.norm(plan.size[:2])
     for k in range(10):
         angle, far = rng.uniform(0, 2 * np.pi), away + rng.uniform(14, 60)
         half = rng.uniform(3, 9, 2)
         at = center + far * np.array([np.cos(angle), np.sin(angle)])
-        ground.box(
-            (*(at - half), _GARDEN),
-            (*(at + half), rng.uniform(3, 20)),
-            ("brick", "plaster", "skyline")[k % 3],
-        )
+        top, wall = rng.uniform(3, 20), ("brick", "plaster", "skyline")[k % 3]
+        ground.box((*(at - half), _GARDEN), (*(at + half), top), wall)
     stage.add(ground, "outside", random_color(rng))
     tree = nature.tree(rng, 5.5, 1.6).to_blender("tree", stage.materials, smooth=True)
     for _ in range(5):
         angle, far = rng.uniform(0, 2 * np.pi), away / 2 + rng.uniform(3.5, 12)
-        stage.put(
-            tree, (*(center + far * np.array([np.cos(angle), np.sin(angle)])), _GARDEN), angle
-        )
+        at = center + far * np.array([np.cos(angle), np.sin(angle)])
+        stage.put(tree, (*at, _GARDEN), angle)
 
 
 def _window_light(plan: RoomPlan, w: Opening, watts: float) -> None:
     """Shine through a window: a camera's range is smaller than from a room to the sky."""
     start, along, outward, _ = wall_frame(plan.size, w.side)
-    light = _area_light(
-        "window", w.end - w.start, w.top - w.sill, watts * (w.end - w.start) * (w.top - w.sill)
-    )
-    light.color = (0.9, 0.96, 1.0)
+    wide, high = w.end - w.start, w.top - w.sill
     middle = start + along * (w.start + w.end) / 2 + outward * 0.2
-    item = _shine(light, (*middle[:2], (w.sill + w.top) / 2))
+    at, color = (*middle[:2], (w.sill + w.top) / 2), (0.9, 0.96, 1.0)
+    item = add_lamp("AREA", at, watts * wide * high, color, (wide, high))
+    item.visible_camera = False
     item.rotation_euler = (np.pi / 2, 0.0, float(np.arctan2(-outward[1], -outward[0])) + np.pi / 2)
 
 
 def _light_lamps(stage: Stage, plan: RoomPlan, rng: np.random.Generator) -> None:
     """Mount square or round panels under the ceiling that shine downwards."""
-    half, watts = (
-        rng.uniform(0.08, 0.6, 2),
-        float(rng.uniform(4, 14) * plan.size[0] * plan.size[1] / len(plan.lamps)),
-    )
+    half = rng.uniform(0.08, 0.6, 2)
+    watts = float(rng.uniform(4, 14) * plan.size[0] * plan.size[1] / len(plan.lamps))
     mesh = Mesh()
     for x, y, z in plan.lamps:
         mesh.box((x - half[0], y - half[1], z), (x + half[0], y + half[1], plan.size[2]), "bulb")
-        light = _area_light("lamp", 2 * half[0], 2 * half[1], watts)
-        light.color = (1.0, rng.uniform(0.8, 0.98), rng.uniform(0.6, 0.95))
-        _shine(light, (x, y, z - 0.01))
+        color = (1.0, rng.uniform(0.8, 0.98), rng.uniform(0.6, 0.95))
+        add_lamp("AREA", (x, y, z - 0.01), watts, color, 2 * half).visible_camera = False
     stage.add(mesh, "lamps")
-
-
-def _area_light(name: str, width: float, height: float, watts: float) -> Any:
-    light = bpy.data.lights.new(name, "AREA")
-    light.shape, light.size, light.size_y, light.energy = "RECTANGLE", width, height, watts
-    return light
-
-
-def _shine(light: Any, at: tuple[float, float, float]) -> Any:
-    item = bpy.data.objects.new(light.name, light)
-    item.location, item.visible_camera = at, False
-    bpy.context.scene.collection.objects.link(item)
-    return item

@@ -7,8 +7,6 @@ World frame: x along the long walls, y from the bookcase to the window, z up, me
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +17,9 @@ from workshop.render.city.district import Stage
 from workshop.render.city.drive import level_rig
 from workshop.render.city.layout import Lot, Rectangle
 from workshop.render.indoor import furniture
-from workshop.render.surfaces.lights import add_light
-from workshop.render.surfaces.materials import Shader, recipe
+from workshop.render.surfaces.lights import add_lamp, add_light
 from workshop.render.surfaces.mesh_builder import Mesh
+from workshop.render.surfaces.shader import Color
 
 _LONG, _WIDE, _HIGH = 5.5, 4.5, 2.7
 _WALL = 0.28  # thickness
@@ -78,25 +76,20 @@ def _shell() -> Mesh:
 def _joinery() -> Mesh:
     """Return skirting boards, window frame and sill, the door, a socket and a switch."""
     mesh, (x0, z0), (x1, z1) = Mesh(), *_WINDOW
-    skirting = [
-        ((0, 0), (0.014, _WIDE)),
-        ((_LONG - 0.014, 0), (_LONG, _WIDE)),
-        ((0, 0), (3.98, 0.014)),
-        ((5.02, 0), (_LONG, 0.014)),
-        ((0, _WIDE - 0.014), (_LONG, _WIDE)),
-    ]
-    mesh.box([(*low, 0) for low, _ in skirting], [(*high, 0.08) for _, high in skirting], "enamel")
+    skirting = np.array([0, _LONG - 0.014, 0, 5.02, 0]), np.array([0, 0, 0, 0, _WIDE - 0.014])
+    ends = (
+        np.array([0.014, _LONG, 3.98, _LONG, _LONG]),
+        np.array([_WIDE, _WIDE, 0.014, 0.014, _WIDE]),
+    )
+    mesh.box((*skirting, 0), (*ends, 0.08), "enamel")
     y, middle, bar = _WIDE + 0.12, (x0 + x1) / 2, 0.055
-    uprights = [(x0, x0 + bar), (middle - bar, middle + bar), (x1 - bar, x1)]
-    mesh.box([(a, y, z0) for a, _ in uprights], [(b, y + 0.06, z1) for _, b in uprights], "enamel")
-    rails = [(z0, z0 + bar), (z0 + 0.95, z0 + 0.99), (z1 - bar, z1)]
-    mesh.box(
-        [(x0, y + 0.003, a) for a, _ in rails], [(x1, y + 0.057, b) for _, b in rails], "enamel"
-    )
+    left, right = (x0, middle - bar, x1 - bar), (x0 + bar, middle + bar, x1)
+    mesh.box((left, y, z0), (right, y + 0.06, z1), "enamel")
+    low, high = (z0, z0 + 0.95, z1 - bar), (z0 + bar, z0 + 0.99, z1)
+    mesh.box((x0, y + 0.003, low), (x1, y + 0.057, high), "enamel")
     mesh.box((x0 - 0.06, _WIDE - 0.16, z0 - 0.03), (x1 + 0.06, y, z0 + 0.004), "enamel")
-    mesh.tube(
-        [(middle, y - 0.004, 1.5), (middle, y - 0.04, 1.5), (middle, y - 0.04, 1.38)], 0.009, "rim"
-    )
+    handle = [(middle, y - 0.004, 1.5), (middle, y - 0.04, 1.5), (middle, y - 0.04, 1.38)]
+    mesh.tube(handle, 0.009, "rim")
     _door(mesh)
     for x, z in ((3.82, 1.1), (3.5, 0.25)):
         mesh.box((x - 0.04, 0, z - 0.04), (x + 0.04, 0.01, z + 0.04), "white")
@@ -108,31 +101,15 @@ def _door(mesh: Mesh) -> None:
     """Add a door with four panels, its frame, handle and hinges."""
     left, right, top = 4.05, 4.95, 2.05
     mesh.box((left, 0, 0.006), (right, 0.012, top), "enamel")
-    for x, z, wide, tall in (
-        (0.12, 0.18, 0.28, 0.62),
-        (0.5, 0.18, 0.28, 0.62),
-        (0.12, 0.95, 0.28, 0.95),
-        (0.5, 0.95, 0.28, 0.95),
-    ):
-        mesh.box((left + x, 0.012, z), (left + x + wide, 0.022, z + tall), "enamel")
-        mesh.box(
-            (left + x + 0.03, 0.022, z + 0.03),
-            (left + x + wide - 0.03, 0.027, z + tall - 0.03),
-            "enamel",
-        )
-    frame = [
-        ((left - 0.07, 0), (left, top + 0.07)),
-        ((right, 0), (right + 0.07, top + 0.07)),
-        ((left, top), (right, top + 0.07)),
-    ]
-    mesh.box([(x, 0, z) for (x, z), _ in frame], [(x, 0.03, z) for _, (x, z) in frame], "enamel")
+    for bottom, tall in ((0.18, 0.62), (0.95, 0.95)):
+        x, up = left + np.array([0.12, 0.5]), bottom + tall
+        mesh.box((x, 0.012, bottom), (x + 0.28, 0.022, up), "enamel")
+        mesh.box((x + 0.03, 0.022, bottom + 0.03), (x + 0.25, 0.027, up - 0.03), "enamel")
+    low, high = ((left - 0.07, right, left), 0, (0, 0, top)), (left, right + 0.07, right)
+    mesh.box(low, (high, 0.03, top + 0.07), "enamel")
     mesh.box((left + 0.05, 0.012, 0.95), (left + 0.08, 0.02, 1.12), "rim")
-    mesh.tube(
-        [(left + 0.065, 0.015, 1.06), (left + 0.065, 0.06, 1.06), (left + 0.19, 0.06, 1.06)],
-        0.009,
-        "rim",
-        10,
-    )
+    x = left + 0.065
+    mesh.tube([(x, 0.015, 1.06), (x, 0.06, 1.06), (left + 0.19, 0.06, 1.06)], 0.009, "rim", 10)
     for z in (0.25, 1.75):
         mesh.tube([(right + 0.002, 0.03, z), (right + 0.002, 0.03, z + 0.09)], 0.008, "rim")
 
@@ -154,20 +131,14 @@ def _furnish(stage: Stage, rng: np.random.Generator) -> None:
     _put(stage, furniture.low_table(rng), (1.6, 1.75, 0.012))
     _rug(stage)
     _put(stage, furniture.table(rng), _TABLE)
-    for x, y, yaw in (
-        (-0.62, -0.35, 0.12),
-        (-0.58, 0.38, -0.1),
-        (0.58, -0.36, 3.05),
-        (0.6, 0.36, 3.3),
-    ):
+    chairs = (-0.62, -0.35, 0.12), (-0.58, 0.38, -0.1), (0.58, -0.36, 3.05), (0.6, 0.36, 3.3)
+    for x, y, yaw in chairs:
         _put(stage, furniture.chair(), _TABLE + np.array([x, y, 0]), yaw, (0.16, 0.24, 0.27))
     cables = Mesh()
-    furniture.cable(
-        cables, [(3.5, 0.02, 0.25), (3.45, 0.05, 0.0), (3.3, 0.1, 0.006), (3.1, 0.12, 0.006)]
-    )
-    furniture.cable(
-        cables, [(0.4, 0.42, 0.02), (0.2, 0.3, 0.0), (0.3, 0.1, 0.006), (1.1, 0.06, 0.006)]
-    )
+    television = (3.5, 0.02, 0.25), (3.45, 0.05, 0.0), (3.3, 0.1, 0.006), (3.1, 0.12, 0.006)
+    lamp = (0.4, 0.42, 0.02), (0.2, 0.3, 0.0), (0.3, 0.1, 0.006), (1.1, 0.06, 0.006)
+    for cable in (television, lamp):
+        furniture.cable(cables, cable)
     stage.add(cables, "cables")
 
 
@@ -177,13 +148,8 @@ def _rug(stage: Stage) -> None:
     mesh.box((1.02, 0.72, 0), (2.2, 2.72, 0.012), "rug", 0.3)
     x = np.arange(1.03, 2.19, 0.025)
     for y, out in ((0.72, -0.06), (2.72, 0.06)):
-        ends = np.sort([y, y + out])
-        mesh.box(
-            np.column_stack([x, 0 * x + ends[0], 0 * x]),
-            np.column_stack([x + 0.009, 0 * x + ends[1], 0 * x + 0.005]),
-            "curtain",
-            0.7,
-        )
+        low, high = sorted((y, y + out))
+        mesh.box((x, low, 0), (x + 0.009, high, 0.005), "curtain", 0.7)
     stage.add(mesh, "rug")
 
 
@@ -195,11 +161,8 @@ def _hang(stage: Stage, rng: np.random.Generator) -> None:
     rod.tube([(x0 - 0.55, y, 2.39), (x1 + 0.55, y, 2.39)], 0.014, "rim", 12)
     for x in (x0 - 0.55, x1 + 0.55):
         rod.ball((x, y, 2.39), (0.03, 0.03, 0.03), "rim")
-        rod.tube(
-            [(x + 0.1 * np.sign(2.6 - x), y, 2.39), (x + 0.1 * np.sign(2.6 - x), _WIDE, 2.39)],
-            0.01,
-            "rim",
-        )
+        at = x + 0.1 * np.sign(2.6 - x)
+        rod.tube([(at, y, 2.39), (at, _WIDE, 2.39)], 0.01, "rim")
     stage.add(rod, "curtain rod")
     for y, wide, tall, z in ((1.35, 0.7, 0.5, 1.62), (2.25, 0.42, 0.56, 1.65)):
         _put(stage, furniture.picture(wide, tall, "canvas", rng.random()), (0, y, z))
@@ -213,7 +176,7 @@ def _put(
     mesh: Mesh,
     at: ArrayLike,
     yaw: float = 0.0,
-    color: tuple[float, float, float] = (0.5, 0.5, 0.5),
+    color: Color = (0.5, 0.5, 0.5),
 ) -> None:
     stage.put(mesh.to_blender("furniture", stage.materials, smooth=True), at, yaw, color)
 
@@ -224,9 +187,7 @@ def _put(
 def _outside(stage: Stage, rng: np.random.Generator) -> None:
     """Put a lawn, a hedge, trees and the houses across the garden before the window."""
     mesh = Mesh()
-    mesh.add(
-        [(-60, -60, _GARDEN), (60, -60, _GARDEN), (60, 60, _GARDEN), (-60, 60, _GARDEN)], "grass"
-    )
+    mesh.floor((-60, -60), (60, 60), _GARDEN, "grass")
     stage.add(mesh, "lawn")
     hedge = nature.hedge(16.0, rng)
     stage.put(hedge.to_blender("hedge", stage.materials), (-5, 9.5, _GARDEN))
@@ -248,215 +209,14 @@ def _lamps(stage: Stage) -> None:
     item = stage.put(globe.to_blender("globe", stage.materials, smooth=True), (0, 0, 0))
     item.visible_shadow = False
     warm = (1.0, 0.86, 0.7)
-    _bulb("globe", _LAMP, 9.0, 0.16, warm)
-    _bulb("pendant", (*_TABLE[:2], _HIGH - 1.12), 3.0, 0.04, warm)
-    _bulb("floor lamp", (0.4, 0.42, 1.45), 3.0, 0.05, warm)
-    for portal, watts in ((True, 1.0), (False, 66.0)):
-        _window_light(portal, watts)
-
-
-def _bulb(
-    name: str, at: ArrayLike, watts: float, radius: float, color: tuple[float, float, float]
-) -> None:
-    light = bpy.data.lights.new(name, "POINT")
-    light.energy, light.color, light.shadow_soft_size = watts, color, radius
-    _shine(light, at)
-
-
-def _window_light(portal: bool, watts: float) -> None:
-    """Light the room through its window: a portal guides paths to the sky, a lamp makes up for what
-    5.5 m swallow.
-
-    A camera's range of brightness is far smaller than that between a room and the sky.
-    """
+    add_lamp("POINT", _LAMP, 9.0, warm, 0.16)
+    add_lamp("POINT", (*_TABLE[:2], _HIGH - 1.12), 3.0, warm, 0.04)
+    add_lamp("POINT", (0.4, 0.42, 1.45), 3.0, warm, 0.05)
+    # Light through the window: a portal guides paths to the sky, a lamp makes up for what 5.5 m
+    # swallow. A camera's range of brightness is far smaller than that between a room and the sky.
     (x0, z0), (x1, z1) = _WINDOW
-    light = bpy.data.lights.new("window", "AREA")
-    light.shape, light.size, light.size_y, light.energy = "RECTANGLE", x1 - x0, z1 - z0, watts
-    light.color, light.cycles.is_portal = (0.9, 0.96, 1.0), portal
-    item = _shine(light, ((x0 + x1) / 2, _WIDE + 0.1, (z0 + z1) / 2))
-    item.rotation_euler, item.visible_camera = (-np.pi / 2, 0.0, 0.0), False
-
-
-def _shine(light: Any, at: ArrayLike) -> Any:
-    item = bpy.data.objects.new(light.name, light)
-    item.location = at
-    bpy.context.scene.collection.objects.link(item)
-    return item
-
-
-# Materials
-
-
-@recipe
-def wall_paint(s: Shader) -> Any:
-    """Emulsion paint on plaster: a faint grain, fainter clouds. The face's value is the colour."""
-    color = s.mix(s.value, (0.72, 0.69, 0.62), (0.42, 0.52, 0.5))
-    grained = s.shade(color, 0.93, 1.05, s.noise(55.0, 4, 0.7))
-    return s.finish(s.shade(grained, 0.95, 1.03, s.noise(1.1, 3)), color)
-
-
-@recipe
-def ceiling(s: Shader) -> Any:
-    """White distemper."""
-    return s.finish(
-        s.shade((0.8, 0.8, 0.78), 0.96, 1.02, s.noise(40.0, 4, 0.7)), (0.78, 0.78, 0.76)
-    )
-
-
-@recipe
-def parquet(s: Shader) -> Any:
-    """Oak boards along x, each with its own brown, varnished."""
-    boards = s.bricks(
-        ((0.4, 0.24, 0.12), (0.27, 0.15, 0.075), (0.05, 0.03, 0.02)),
-        1.4,
-        0.13,
-        0.0025,
-        s.position,
-        0.37,
-    )
-    grain = s.noise(7.0, 6, 0.7, s.stretch(s.position, (0.8, 9.0, 1.0)))
-    return s.finish(s.shade(boards.outputs[0], 0.72, 1.25, grain), (0.33, 0.2, 0.1), 0.3, 0.28)
-
-
-@recipe
-def oak(s: Shader) -> Any:
-    """Oiled wood, light or dark by the face's value."""
-    color = s.mix(s.value, (0.2, 0.11, 0.055), (0.5, 0.33, 0.17))
-    grain = s.noise(9.0, 6, 0.7, s.stretch(s.object_position, (6.0, 0.9, 1.4)))
-    return s.finish(s.shade(color, 0.68, 1.25, grain), (0.35, 0.22, 0.11), 0.2, 0.35)
-
-
-@recipe
-def book(s: Shader) -> Any:
-    """Cloth and paper spines, a colour for each face value, with bands for title and author."""
-    own = s.join(s.math("MULTIPLY", s.value, 613.0), 0.0, 0.0)
-    dye = s.shade(s.cells(1.0, output="Color", at=own), 0.35, 0.75, s.value)
-    color = s.mix(0.5, dye, s.mix(s.value, (0.3, 0.26, 0.2), (0.04, 0.035, 0.03)))
-    lines = s.ramp(
-        s.noise(1.0, 2, 0.5, s.join(s.math("MULTIPLY", s.height, 42.0), own, 0.0)), 0.6, 0.64
-    )
-    return s.finish(
-        s.mix(lines, s.shade(color, 0.5, 0.95, s.noise(30.0, 4)), (0.6, 0.55, 0.4)),
-        (0.2, 0.16, 0.13),
-    )
-
-
-@recipe
-def glaze(s: Shader) -> Any:
-    """Glazed earthenware, from sea green to clay by the face's value, speckled."""
-    color = s.mix(s.value, (0.1, 0.22, 0.24), (0.55, 0.36, 0.22))
-    return s.finish(
-        s.shade(color, 0.6, 1.2, s.noise(24.0, 5, 0.7, s.object_position)),
-        (0.3, 0.27, 0.22),
-        0.4,
-        0.12,
-    )
-
-
-@recipe
-def screen(s: Shader) -> Any:
-    """Dark glass of a display that is off."""
-    return s.finish((0.012, 0.013, 0.015), (0.012, 0.013, 0.015), 0.35, 0.12)
-
-
-@recipe
-def magazine(s: Shader) -> Any:
-    """Pages of photographs and columns of text; the face's value turns the leaf."""
-    at = s.node(
-        "ShaderNodeVectorMath",
-        in0=s.object_position,
-        in1=s.join(s.math("MULTIPLY", s.value, 31.0), 0.0, 0.0),
-    )
-    photo = s.cells(14.0, output="Color", at=at.outputs[0])
-    text = s.bricks(
-        ((0.62, 0.61, 0.57), (0.62, 0.61, 0.57), (0.16, 0.16, 0.16)),
-        0.06,
-        0.009,
-        0.002,
-        at.outputs[0],
-    )
-    picture = s.math("GREATER_THAN", s.noise(5.0, 1, 0.5, at.outputs[0]), 0.52)
-    return s.finish(s.mix(picture, text.outputs[0], photo), (0.45, 0.44, 0.42), 0.15, 0.3)
-
-
-@recipe
-def fruit(s: Shader) -> Any:
-    """Apples and oranges by the face's value."""
-    color = s.mix(s.math("GREATER_THAN", s.value, 0.5), (0.5, 0.07, 0.03), (0.7, 0.33, 0.04))
-    return s.finish(
-        s.shade(color, 0.7, 1.25, s.noise(30.0, 4, 0.6, s.object_position)),
-        (0.55, 0.2, 0.05),
-        0.3,
-        0.25,
-    )
-
-
-@recipe
-def upholstery(s: Shader) -> Any:
-    """Grey-blue wool: weave and wear."""
-    weave = s.shade((0.17, 0.21, 0.26), 0.65, 1.35, s.noise(160.0, 2, 0.6, s.object_position))
-    return s.finish(
-        s.shade(weave, 0.75, 1.2, s.noise(4.0, 4, 0.6, s.object_position)), (0.17, 0.21, 0.26)
-    )
-
-
-@recipe
-def rug(s: Shader) -> Any:
-    """Nested lozenges in wool; the face's value shifts their colours."""
-    x, y, z = s.split(s.object_position)
-    across = s.math("PINGPONG", s.math("ADD", x, z), 0.16)
-    ring = s.math("ADD", s.math("MULTIPLY", s.math("PINGPONG", y, 0.1), 1.6), across)
-    warm = s.mix(s.value, (0.36, 0.08, 0.055), (0.5, 0.32, 0.1))
-    inner = s.mix(s.math("GREATER_THAN", ring, 0.09), (0.08, 0.12, 0.18), (0.5, 0.43, 0.32))
-    lozenges = s.mix(s.math("GREATER_THAN", ring, 0.13), inner, warm)
-    outer = s.mix(s.math("GREATER_THAN", ring, 0.24), lozenges, (0.1, 0.13, 0.16))
-    return s.finish(
-        s.shade(outer, 0.65, 1.25, s.noise(130.0, 2, 0.6, s.object_position)), (0.28, 0.16, 0.11)
-    )
-
-
-@recipe
-def curtain(s: Shader) -> Any:
-    """Linen, from sand to ochre by the face's value."""
-    color = s.mix(s.value, (0.4, 0.24, 0.1), (0.6, 0.53, 0.41))
-    threads = s.noise(60.0, 3, 0.6, s.stretch(s.object_position, (1.0, 3.0, 0.3)))
-    return s.finish(s.shade(color, 0.75, 1.15, threads), (0.5, 0.43, 0.32))
-
-
-@recipe
-def lamp_shade(s: Shader) -> Any:
-    """Parchment with a lamp behind."""
-    return s.glow((1.0, 0.82, 0.58), 0.7)
-
-
-@recipe
-def bulb(s: Shader) -> Any:
-    """Frosted glass that shines."""
-    return s.glow((1.0, 0.92, 0.8), 1.7)
-
-
-@recipe
-def enamel(s: Shader) -> Any:
-    """White gloss paint on wood and iron."""
-    return s.finish(
-        s.shade((0.74, 0.73, 0.7), 0.94, 1.03, s.noise(18.0, 4)), (0.72, 0.71, 0.68), 0.25, 0.25
-    )
-
-
-@recipe
-def wicker(s: Shader) -> Any:
-    """Woven willow."""
-    rows = s.bricks(
-        ((0.42, 0.28, 0.14), (0.27, 0.16, 0.08), (0.05, 0.03, 0.02)), 0.045, 0.016, 0.003
-    )
-    return s.finish(s.shade(rows.outputs[0], 0.6, 1.25, s.noise(30.0, 4)), (0.3, 0.19, 0.1))
-
-
-@recipe
-def canvas(s: Shader) -> Any:
-    """Painted shapes in the colours of sea and fields, another one for each face value."""
-    offset = s.join(s.math("MULTIPLY", s.value, 77.0), 0.0, 0.0)
-    at = s.node("ShaderNodeVectorMath", in0=s.object_position, in1=offset).outputs[0]
-    shapes = s.mix(s.ramp(s.noise(3.2, 3, 0.5, at), 0.46, 0.5), (0.08, 0.2, 0.28), (0.62, 0.5, 0.3))
-    strokes = s.mix(s.ramp(s.noise(6.5, 4, 0.6, at), 0.56, 0.6), shapes, (0.5, 0.15, 0.08))
-    return s.finish(s.shade(strokes, 0.6, 1.2, s.noise(40.0, 5, 0.7)), (0.33, 0.28, 0.22))
+    middle = (x0 + x1) / 2, _WIDE + 0.1, (z0 + z1) / 2
+    for portal, watts in ((True, 1.0), (False, 66.0)):
+        item = add_lamp("AREA", middle, watts, (0.9, 0.96, 1.0), (x1 - x0, z1 - z0))
+        item.data.cycles.is_portal = portal
+        item.rotation_euler, item.visible_camera = (-np.pi / 2, 0.0, 0.0), False

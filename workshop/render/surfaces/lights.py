@@ -8,6 +8,9 @@ from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import ArrayLike
+
+from workshop.render.surfaces.shader import Color, Nodes, Socket
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,7 @@ class Light:
     elevation: float
     azimuth: float  # of the sun, counter-clockwise from east
     sun: float
-    sun_color: tuple[float, float, float]
+    sun_color: Color
     sky: float
     clouds: float  # share of the sky covered
     overcast: bool
@@ -36,10 +39,8 @@ LIGHTS = {
 def add_light(name: str | Light) -> Light:
     """Give the scene the sky and sun of `LIGHTS[name]`, or of another light; return it."""
     light = LIGHTS[name] if isinstance(name, str) else name
-    world = bpy.data.worlds.new("sky")
-    bpy.context.scene.world = world
-    world.use_nodes = True
-    _Sky(world.node_tree, light).build()
+    world = _new_world("sky")
+    _shine_as_sky(Nodes(world.node_tree), light)
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 512
     if light.sun:
         sun = bpy.data.lights.new("sun", "SUN")
@@ -48,6 +49,13 @@ def add_light(name: str | Light) -> Light:
         item.rotation_euler = (0.0, np.radians(90 - light.elevation), np.radians(light.azimuth))
         bpy.context.scene.collection.objects.link(item)
     return light
+
+
+def _new_world(name: str) -> Any:
+    world = bpy.data.worlds.new(name)
+    bpy.context.scene.world = world
+    world.use_nodes = True
+    return world
 
 
 def random_sky(rng: np.random.Generator) -> Light:
@@ -63,28 +71,28 @@ def random_sky(rng: np.random.Generator) -> Light:
     )
 
 
-def add_dome(colors: Sequence[tuple[float, float, float]], strength: float) -> None:
+def add_lamp(
+    kind: str, at: ArrayLike, watts: float, color: ArrayLike, size: ArrayLike
+) -> bpy.types.Object:
+    """Add a "POINT" of a radius, or an "AREA" of a width and a height, in metres; return it."""
+    lamp = bpy.data.lights.new("lamp", kind)
+    lamp.energy, lamp.color = watts, color
+    if kind == "POINT":
+        lamp.shadow_soft_size = size
+    else:
+        lamp.shape, (lamp.size, lamp.size_y) = "RECTANGLE", size
+    item = bpy.data.objects.new("lamp", lamp)
+    item.location = at
+    bpy.context.scene.collection.objects.link(item)
+    return item
+
+
+def add_dome(colors: Sequence[Color], strength: float) -> None:
     """Give the current scene a dome that shines in the first colour below and the second above."""
-    world = bpy.data.worlds.new("dome")
-    bpy.context.scene.world = world
-    world.use_nodes = True
-    tree = world.node_tree
-    tree.nodes.clear()
-    split, mix = tree.nodes.new("ShaderNodeSeparateXYZ"), tree.nodes.new("ShaderNodeMixRGB")
-    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], split.inputs[0])
-    height = tree.nodes.new("ShaderNodeMapRange")
-    tree.links.new(split.outputs["Z"], height.inputs[0])
-    height.inputs[1].default_value = -1.0
-    tree.links.new(height.outputs[0], mix.inputs[0])
-    for k, color in enumerate(colors, start=1):
-        mix.inputs[k].default_value = (*color, 1.0)
-    background, output = (
-        tree.nodes.new("ShaderNodeBackground"),
-        tree.nodes.new("ShaderNodeOutputWorld"),
-    )
-    tree.links.new(mix.outputs[0], background.inputs["Color"])
-    background.inputs["Strength"].default_value = strength
-    tree.links.new(background.outputs[0], output.inputs["Surface"])
+    s = Nodes(_new_world("dome").node_tree)
+    height = s.ramp(s.split(s.node("TexCoord").outputs["Generated"])[2], -1.0, 1.0)
+    shine = s.node("Background", s.mix(height, *colors), strength).outputs[0]
+    s.node("OutputWorld", shine)
 
 
 def remove_lights() -> None:
@@ -94,87 +102,40 @@ def remove_lights() -> None:
     bpy.context.scene.world = None
 
 
-class _Sky:
-    """The nodes of a sky: Nishita's clear one or an overcast dome, with clouds."""
-
-    def __init__(self, tree: Any, light: Light) -> None:
-        self.tree, self.light = tree, light
-        tree.nodes.clear()
-        self.direction = tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-
-    def node(self, kind: str, *inputs: Any, **settings: Any) -> Any:
-        node = self.tree.nodes.new(kind)
-        for name, value in settings.items():
-            setattr(node, name, value)
-        for socket, value in zip(node.inputs, inputs, strict=False):
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, socket)
-            elif value is not None:
-                socket.default_value = value
-        return node.outputs[0]
-
-    def build(self) -> None:
-        split = self.tree.nodes.new("ShaderNodeSeparateXYZ")
-        self.tree.links.new(self.direction, split.inputs[0])
-        x, y, z = split.outputs
-        color = self._overcast(z) if self.light.overcast else self._clear()
-        color = self.node(
-            "ShaderNodeMixRGB", self._clouds(x, y, z), color, self._cloud_color(x, y, z)
-        )
-        strength = self.light.sky
-        background = self.node("ShaderNodeBackground", color, strength)
-        if self.light.sun:
-            background = self._with_sun_disc(background)
-        output = self.tree.nodes.new("ShaderNodeOutputWorld")
-        self.tree.links.new(background, output.inputs["Surface"])
-
-    def _clear(self) -> Any:
-        sky = self.tree.nodes.new("ShaderNodeTexSky")
+def _shine_as_sky(s: Nodes, light: Light) -> None:
+    """Make a world Nishita's clear sky or an overcast dome, with clouds."""
+    direction = s.node("TexCoord").outputs["Generated"]
+    x, y, z = s.split(direction)
+    if light.overcast:
+        brightness = s.ramp(z, -0.1, 1.0, 0.55, 1.35)
+        color = s.join(brightness, brightness, brightness)
+    else:
+        sky = s.node("TexSky")
         sky.sky_type, sky.sun_disc = "NISHITA", False
-        sky.sun_elevation = np.radians(self.light.elevation)
-        sky.sun_rotation = np.radians(90 - self.light.azimuth)
-        return sky.outputs[0]
+        sky.sun_elevation = np.radians(light.elevation)
+        sky.sun_rotation = np.radians(90 - light.azimuth)
+        color = sky.outputs[0]
+    height = s.math("ADD", s.math("MAXIMUM", z, 0.0), 0.12)
+    s.position = s.join(s.math("DIVIDE", x, height), s.math("DIVIDE", y, height))  # of the clouds
+    edge = 0.66 - 0.3 * light.clouds
+    clouds = s.ramp(s.noise(1.1, 9.0, 0.62), edge, edge + 0.16, 0.0, 0.85)
+    darkest, lightest = (0.35, 1.25) if light.overcast else (2.4, 5.2)
+    tint = (1.0, 1.0, 1.03)
+    if light.elevation < 20:
+        darkest, lightest, tint = 0.8, 2.2, light.sun_color
+    gray = s.ramp(s.noise(0.8, 8.0, 0.6), 0.32, 0.68, darkest, lightest)
+    white = s.join(*(s.math("MULTIPLY", gray, share) for share in tint))
+    shine = s.node("Background", s.mix(clouds, color, white), light.sky).outputs[0]
+    s.node("OutputWorld", _with_sun_disc(s, light, direction, shine) if light.sun else shine)
 
-    def _overcast(self, z: Any) -> Any:
-        brightness = self.node("ShaderNodeMapRange", z, -0.1, 1.0, 0.55, 1.35)
-        return self.node("ShaderNodeCombineXYZ", brightness, brightness, brightness)
 
-    def _on_cloud_layer(self, x: Any, y: Any, z: Any) -> Any:
-        height = self.node("ShaderNodeMath", z, 0.0, operation="MAXIMUM")
-        height = self.node("ShaderNodeMath", height, 0.12, operation="ADD")
-        flat = [self.node("ShaderNodeMath", v, height, operation="DIVIDE") for v in (x, y)]
-        return self.node("ShaderNodeCombineXYZ", *flat)
-
-    def _clouds(self, x: Any, y: Any, z: Any) -> Any:
-        noise = self.node("ShaderNodeTexNoise", self._on_cloud_layer(x, y, z), None, 1.1, 9.0, 0.62)
-        edge = 0.66 - 0.3 * self.light.clouds
-        return self.node("ShaderNodeMapRange", noise, edge, edge + 0.16, 0.0, 0.85)
-
-    def _cloud_color(self, x: Any, y: Any, z: Any) -> Any:
-        noise = self.node("ShaderNodeTexNoise", self._on_cloud_layer(x, y, z), None, 0.8, 8.0, 0.6)
-        low, high = (0.35, 1.25) if self.light.overcast else (2.4, 5.2)
-        if self.light.elevation < 20:
-            low, high = 0.8, 2.2
-        gray = self.node("ShaderNodeMapRange", noise, 0.32, 0.68, low, high)
-        tint = self.light.sun_color if self.light.elevation < 20 else (1.0, 1.0, 1.03)
-        parts = [self.node("ShaderNodeMath", gray, t, operation="MULTIPLY") for t in tint]
-        return self.node("ShaderNodeCombineXYZ", *parts)
-
-    def _with_sun_disc(self, background: Any) -> Any:
-        """Show the sun to the camera alone; for lighting there is the lamp."""
-        up, turn = np.radians(self.light.elevation), np.radians(self.light.azimuth)
-        towards = (np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up))
-        dot = self.tree.nodes.new("ShaderNodeVectorMath")
-        dot.operation = "DOT_PRODUCT"
-        self.tree.links.new(self.direction, dot.inputs[0])
-        dot.inputs[1].default_value = towards
-        inside = self.node(
-            "ShaderNodeMath",
-            dot.outputs["Value"],
-            float(np.cos(np.radians(0.45))),
-            operation="GREATER_THAN",
-        )
-        path = self.tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"]
-        share = self.node("ShaderNodeMath", inside, path, operation="MULTIPLY")
-        disc = self.node("ShaderNodeBackground", (*self.light.sun_color, 1.0), 60.0)
-        return self.node("ShaderNodeMixShader", share, background, disc)
+def _with_sun_disc(s: Nodes, light: Light, direction: Socket, background: Socket) -> Socket:
+    """Show the sun to the camera alone; for lighting there is the lamp."""
+    up, turn = np.radians(light.elevation), np.radians(light.azimuth)
+    towards = (np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up))
+    dot = s.node("VectorMath", direction, towards)
+    dot.operation = "DOT_PRODUCT"
+    inside = s.math("GREATER_THAN", dot.outputs["Value"], np.cos(np.radians(0.45)))
+    share = s.math("MULTIPLY", inside, s.node("LightPath").outputs["Is Camera Ray"])
+    disc = s.node("Background", light.sun_color, 60.0).outputs[0]
+    return s.node("MixShader", share, background, disc).outputs[0]

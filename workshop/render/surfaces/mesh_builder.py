@@ -54,6 +54,11 @@ class Mesh:
             values = np.broadcast_to(np.asarray(value, float), len(corners))
             self._faces.append((corners @ self._axes + self._origin, material, values))
 
+    def floor(self, low: ArrayLike, high: ArrayLike, z: float, material: str) -> None:
+        """Add a horizontal rectangle between opposite corners (x, y)."""
+        (x0, y0), (x1, y1) = low, high
+        self.add([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)], material)
+
     def box(self, low: ArrayLike, high: ArrayLike, material: str, value: ArrayLike = 0.5) -> None:
         """Add boxes between opposite corners: (x, y, z) of numbers or arrays, or (boxes, 3)."""
         ends = (points(*end) if isinstance(end, tuple) else end for end in (low, high))

@@ -8,24 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from workshop.render.surfaces.shader import Materials, Shader, Socket
+from workshop.render.surfaces.materials import Materials
+from workshop.render.surfaces.shader import Color, Shader, Socket
 
-PATTERNS = (
-    "plain",
-    "gradient",
-    "grain",
-    "clouds",
-    "blots",
-    "cells",
-    "cracks",
-    "bricks",
-    "stripes",
-    "checks",
-    "print",
-)
+_IN_ALL_DIRECTIONS = ("plain", "gradient", "grain", "clouds", "blots", "cells", "cracks")
+PATTERNS = (*_IN_ALL_DIRECTIONS, "bricks", "stripes", "checks", "print")
 
 
-def random_color(rng: np.random.Generator, vivid: float = 0.8) -> tuple[float, float, float]:
+def random_color(rng: np.random.Generator, vivid: float = 0.8) -> Color:
     """Draw a linear RGB colour, near black to near white; `vivid`: most saturation."""
     value = rng.uniform(0.03, 0.85)
     return colorsys.hsv_to_rgb(rng.random(), vivid * rng.random(), value)
@@ -35,7 +25,7 @@ def random_material(
     rng: np.random.Generator,
     kinds: Sequence[str] = PATTERNS,
     scale: float = 1.0,
-    colors: Sequence[tuple[float, float, float]] | None = None,
+    colors: Sequence[Color] | None = None,
     world: bool = False,
     gloss: float = 0.5,
 ) -> Any:
@@ -51,7 +41,7 @@ def random_material(
     kind = str(rng.choice(list(kinds)))
     shader = Shader(kind)
     a, b = colors or (random_color(rng), random_color(rng))
-    at = shader.position if world else shader.object_position
+    at = shader.position if world else shader.local
     frequency = scale * float(np.exp(rng.uniform(np.log(0.7), np.log(5.0))))
     color = _pattern(shader, kind, at, frequency, a, b, rng)
     if kind not in ("plain", "gradient"):
@@ -70,13 +60,7 @@ def random_materials(rng: np.random.Generator, count: int, **options: Any) -> Ma
 
 
 def _pattern(
-    s: Shader,
-    kind: str,
-    at: Socket,
-    f: float,
-    a: tuple[float, float, float],
-    b: tuple[float, float, float],
-    rng: np.random.Generator,
+    s: Shader, kind: str, at: Socket, f: float, a: Color, b: Color, rng: np.random.Generator
 ) -> Socket:
     """Return the colour of a pattern with about `f` lumps in a unit."""
     if kind == "plain":
@@ -96,33 +80,19 @@ def _pattern(
     return _ruled(s, kind, at, f, a, b)
 
 
-def _ruled(
-    s: Shader,
-    kind: str,
-    at: Socket,
-    f: float,
-    a: tuple[float, float, float],
-    b: tuple[float, float, float],
-) -> Socket:
+def _ruled(s: Shader, kind: str, at: Socket, f: float, a: Color, b: Color) -> Socket:
     """Return the colour of a pattern of straight lines, on any of the three planes of the axes."""
     x, y, z = s.split(at)
     if kind == "checks":
-        return s.mix(s.node("ShaderNodeTexChecker", Vector=at, Scale=2.5 * f).outputs["Fac"], a, b)
-    plane = s.join(s.math("ADD", x, y), s.math("ADD", z, s.math("MULTIPLY", y, 0.5)), 0.0)
-    if kind == "stripes":
-        return s.mix(
-            s.math(
-                "GREATER_THAN", s.math("FRACT", s.math("MULTIPLY", s.split(plane)[1], 2 * f)), 0.5
-            ),
-            a,
-            b,
-        )
+        return s.mix(s.node("TexChecker", Vector=at, Scale=2.5 * f).outputs["Fac"], a, b)
+    up = s.math("ADD", z, s.math("MULTIPLY", y, 0.5))
+    plane = s.join(s.math("ADD", x, y), up)
     if kind == "bricks":
-        return s.bricks(
-            (a, s.shade(a, 0.6, 0.8, 0.5), b), 0.6 / f, 0.25 / f, 0.03 / f, plane
-        ).outputs[0]
+        other = s.shade(a, 0.6, 0.8, 0.5)
+        return s.bricks((a, other, b), 0.6 / f, 0.25 / f, 0.03 / f, plane)
+    lines, gap = (2, 0.5) if kind == "stripes" else (3, 0.45)
+    ruled = s.math("GREATER_THAN", s.math("FRACT", s.math("MULTIPLY", up, lines * f)), gap)
+    if kind == "stripes":
+        return s.mix(ruled, a, b)
     words = s.ramp(s.noise(5 * f, 2, 0.6, s.stretch(plane, (1.0, 0.4, 1.0))), 0.46, 0.5)
-    lines = s.math(
-        "GREATER_THAN", s.math("FRACT", s.math("MULTIPLY", s.split(plane)[1], 3 * f)), 0.45
-    )
-    return s.mix(s.math("MULTIPLY", words, lines), a, b)
+    return s.mix(s.math("MULTIPLY", words, ruled), a, b)

@@ -97,26 +97,17 @@ def _floating(rng: np.random.Generator, min_depth: float, farthest: float) -> Th
     up, around = np.radians(np.clip(rng.normal(0, 30), -80, 80)), rng.uniform(0, 2 * np.pi)
     direction = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     angles = tuple(rng.uniform(-np.pi, np.pi, 3))
-    return Thing(
-        random_shape(rng, _names(rng)),
-        (nearest + radius) * direction,
-        angles,
-        float(radius),
-        float(nearest),
-    )
+    mesh, at = random_shape(rng, _names(rng)), (nearest + radius) * direction
+    return Thing(mesh, at, angles, float(radius), float(nearest))
 
 
 def _standing(rng: np.random.Generator, min_depth: float, farthest: float, ground: float) -> Thing:
     """Draw a shape or a model that stands on the ground."""
-    distance, around = (
-        np.exp(rng.uniform(np.log(1.1 * min_depth), np.log(farthest))),
-        rng.uniform(0, 2 * np.pi),
-    )
+    distance = np.exp(rng.uniform(np.log(1.1 * min_depth), np.log(farthest)))
+    around = rng.uniform(0, 2 * np.pi)
     if rng.random() < 0.5:
-        mesh, scale = (
-            random_shape(rng, _names(rng)),
-            distance * np.exp(rng.uniform(np.log(0.1), np.log(0.6))),
-        )
+        mesh = random_shape(rng, _names(rng))
+        scale = distance * np.exp(rng.uniform(np.log(0.1), np.log(0.6)))
     else:
         mesh, scale = _MODELS[str(rng.choice(list(_MODELS)))](rng), rng.uniform(0.6, 1.5)
     yaw = rng.uniform(-np.pi, np.pi)
@@ -129,18 +120,12 @@ def _standing(rng: np.random.Generator, min_depth: float, farthest: float, groun
 def build_things(plan: ThingsPlan, rng: np.random.Generator) -> None:
     """Fill the current Blender scene."""
     from workshop.render.city.district import Stage
-    from workshop.render.indoor import living_room  # noqa: F401  registers the materials of furniture
     from workshop.render.surfaces.patterns import random_color, random_materials
 
     stage = Stage(random_materials(rng, _MATERIALS))
     for thing in plan.things:
-        item = stage.put(
-            thing.mesh.to_blender("thing", stage.materials, smooth=True),
-            thing.at,
-            0.0,
-            random_color(rng),
-            thing.scale,
-        )
+        mesh = thing.mesh.to_blender("thing", stage.materials, smooth=True)
+        item = stage.put(mesh, thing.at, 0.0, random_color(rng), thing.scale)
         item.rotation_euler = thing.angles
     _add_ground(stage, plan, rng)
     if plan.backdrop in ("box", "ball"):
@@ -156,11 +141,8 @@ def _add_ground(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
     stage.materials["ground"] = random_material(
         rng, scale=float(rng.uniform(0.2, 1.5)), world=True, gloss=0.3
     )
-    mesh, e = Mesh(), 400.0
-    mesh.add(
-        [(-e, -e, plan.ground), (e, -e, plan.ground), (e, e, plan.ground), (-e, e, plan.ground)],
-        "ground",
-    )
+    mesh = Mesh()
+    mesh.floor((-400, -400), (400, 400), plan.ground, "ground")
     stage.add(mesh, "ground")
 
 
@@ -178,21 +160,19 @@ def _add_backdrop(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> Non
         (x, y, z), thick = plan.extent, 0.1
         for k, axis in enumerate((0, 1, 2, 0, 1, 2)):
             low, high = np.array([-x, -y, -z]), np.array([x, y, z])
-            (high if k < 3 else low)[axis] = (low if k < 3 else high)[axis] + (
-                thick if k < 3 else -thick
-            )
+            if k < 3:
+                high[axis] = low[axis] + thick
+            else:
+                low[axis] = high[axis] - thick
             mesh.box(low, high, f"wall{k}")
-    item = stage.put(
-        mesh.to_blender("backdrop", stage.materials, smooth=plan.backdrop == "ball"), (0, 0, 0)
-    )
+    smooth = plan.backdrop == "ball"
+    item = stage.put(mesh.to_blender("backdrop", stage.materials, smooth), (0, 0, 0))
     item.visible_shadow = item.visible_diffuse = False
 
 
 def _add_lights(plan: ThingsPlan, rng: np.random.Generator) -> None:
     """Light the scene with sky and sun, or a dome; add up to three lamps."""
-    import bpy
-
-    from workshop.render.surfaces.lights import add_dome, add_light, random_sky
+    from workshop.render.surfaces.lights import add_dome, add_lamp, add_light, random_sky
     from workshop.render.surfaces.patterns import random_color
 
     if plan.backdrop == "sky" and plan.ground is None:
@@ -203,13 +183,7 @@ def _add_lights(plan: ThingsPlan, rng: np.random.Generator) -> None:
         add_dome([random_color(rng, 0.5) for _ in range(2)], float(rng.uniform(0.4, 1.2)))
     for _ in range(rng.integers(0, 4)):
         away, (x, y, z) = rng.uniform(3, 12), rng.normal(size=3)
-        lamp = bpy.data.lights.new("lamp", "POINT")
-        lamp.energy, lamp.shadow_soft_size = (
-            20 * away**2 * rng.uniform(0.3, 2),
-            rng.uniform(0.02, 1.0),
-        )
-        lamp.color = np.array(random_color(rng, 0.4)) + 0.4
-        item = bpy.data.objects.new("lamp", lamp)
-        item.location = away * np.array([x, y, abs(z)]) / np.linalg.norm([x, y, z])
-        item.visible_camera = False
-        bpy.context.scene.collection.objects.link(item)
+        at = away * np.array([x, y, abs(z)]) / np.linalg.norm([x, y, z])
+        watts, radius = 20 * away**2 * rng.uniform(0.3, 2), rng.uniform(0.02, 1.0)
+        lamp = add_lamp("POINT", at, watts, np.array(random_color(rng, 0.4)) + 0.4, radius)
+        lamp.visible_camera = False
