@@ -36,7 +36,7 @@ MAX_SIDE = 100_000
 # In pixels, the tolerance of OCamCalib.
 INVERSE_TOLERANCE = 0.01
 # In pixels; keeps the corner pixels inside the image after the rounding of a round trip.
-_EDGE = 1e-6
+EDGE = 1e-6
 # Starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding.
 _NEWTON_STEPS = 4
 
@@ -259,7 +259,7 @@ class OcamCamera:
         """Return whether pixels (..., 2) lie inside the image and on the mask: (...)."""
         width, height = self.image_size
         u, v = uv[..., 0], uv[..., 1]
-        low, right, bottom = -_EDGE, width - 1 + _EDGE, height - 1 + _EDGE
+        low, right, bottom = -EDGE, width - 1 + EDGE, height - 1 + EDGE
         inside = (u >= low) & (u <= right) & (v >= low) & (v <= bottom)
         if self.mask is None:
             return inside

@@ -14,6 +14,7 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.device import takes_loops
 from omnistereo_lib.stereo.kernels import correlation_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 from omnistereo_lib.stereo.threads import map_threads
@@ -76,8 +77,13 @@ class Coordinates:
             torch.tensor(a, dtype=torch.float32, device=rays.device)
             for a in (self.T_cam_rig.R, self.T_cam_rig.t)
         )
-        # R ρ + d t has the direction of the point ρ/d in the camera's frame, as in the sweep.
-        uv, visible = self.camera.project((rays @ R.T)[:, :, None] + self.inverse_depth * t)
+        # R ρ + d t has the direction of the point ρ/d in the camera's frame, as in the sweep. The
+        # axes come first, (3, W, H, N): torch is slow across three numbers.
+        turned = (rays @ R.T).permute(2, 0, 1).contiguous()
+        points = turned[..., None] + t[:, None, None, None] * self.inverse_depth[..., 0]
+        if takes_loops(rays):
+            return correlation_numba.project(self.camera, points)
+        uv, visible = self.camera.project(points.permute(1, 2, 3, 0))
         # A feature map has every second pixel of its image.
         return torch.where(visible[..., None], uv / 2, torch.nan)
 

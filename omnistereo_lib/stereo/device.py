@@ -6,6 +6,7 @@ import re
 
 import psutil
 import torch
+from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -37,6 +38,12 @@ def select_device(device: torch.device | str) -> torch.device:
         device = torch.device("cuda", number_from_environment("LOCAL_RANK", device.index or 0))
         torch.cuda.set_device(device)
     return device
+
+
+def takes_loops(x: Tensor) -> bool:
+    """Return whether Numba's loops may compute with a tensor: on a CPU, where nothing is traced."""
+    traced = torch.jit.is_tracing()  # type: ignore[attr-defined]  # torch's hints lack it
+    return x.device.type == "cpu" and not traced
 
 
 def number_from_environment(name: str, default: int) -> int:

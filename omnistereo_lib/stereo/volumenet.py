@@ -40,6 +40,7 @@ from omnistereo_lib.stereo.correlation import (
     volume_cells,
     volume_sizes,
 )
+from omnistereo_lib.stereo.device import takes_loops
 from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
@@ -52,8 +53,7 @@ WIDTHS = (16, 32, 48, 64)
 
 def fuses(x: Tensor) -> bool:
     """Return whether oneDNN may filter and clip in one pass: on a CPU, where nothing is traced."""
-    traced = torch.is_grad_enabled() or torch.onnx.is_in_onnx_export()
-    return x.device.type == "cpu" and torch.backends.mkldnn.is_available() and not traced
+    return takes_loops(x) and torch.backends.mkldnn.is_available() and not torch.is_grad_enabled()
 
 
 def fused(
@@ -407,5 +407,4 @@ def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     at least one sphere, on either side; see `reference.local_mean`. The confidence is the
     probability that these spheres have together, in [0, 1]. NaN where the cost is NaN.
     """
-    by_loops = volume.device.type == "cpu" and not torch.onnx.is_in_onnx_export()
-    return (read_out_numba if by_loops else reference).local_mean(volume, COARSE[1])
+    return (read_out_numba if takes_loops(volume) else reference).local_mean(volume, COARSE[1])

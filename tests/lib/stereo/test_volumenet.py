@@ -18,6 +18,7 @@ from omnistereo_lib.stereo.correlation import (
     volume_cells,
     volume_sizes,
 )
+from omnistereo_lib.stereo.kernels import correlation_numba
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -106,6 +107,22 @@ def test_cells_land_on_the_features_of_their_points():
             found = uv[column, row, sphere].numpy()
             assert np.isfinite(found).all() == visible
             assert not visible or np.abs(2 * found - pixel).max() < 2e-3
+
+
+def test_points_land_where_the_camera_projects_them_to_the_bit():
+    rng = np.random.default_rng(3)
+    odd = [0.0, -0.0, 1, -1, 1e-45, 1e-30, 1e30, np.inf, -np.inf, np.nan]
+    points = torch.from_numpy(
+        np.concatenate([rng.choice(odd, (3, 5000)), rng.normal(size=(3, 5000))], 1)
+    ).float()
+    camera = scene.rig(cameras=2).cameras[0]
+    holes = replace(camera, mask=rng.random(camera.image_size[::-1]) > 0.3)
+    for one in (camera, holes):
+        uv, visible = one.project(points.T)
+        expected = torch.where(visible[:, None], uv / 2, torch.nan)
+        found = correlation_numba.project(one, points)
+        assert visible.sum() > 1000
+        assert torch.equal(found.view(torch.int32), expected.view(torch.int32))
 
 
 def test_coordinates_computed_as_they_are_read_are_those_of_the_tables():
