@@ -15,6 +15,17 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
 
 
+class Volume(Protocol):
+    """Costs of all rays on all spheres: a tensor, or what makes one of the rows that are read."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows, columns and spheres."""
+
+    def __getitem__(self, rows: slice) -> Tensor:
+        """Return the costs of some rows."""
+
+
 class Cost(Protocol):
     """A matching cost.
 
@@ -23,7 +34,7 @@ class Cost(Protocol):
 
     def volume(
         self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
-    ) -> Tensor:
+    ) -> Volume:
         """Return the cost volume C(p, n) of a frame.
 
         Args:
@@ -33,7 +44,7 @@ class Cost(Protocol):
 
         Returns:
             float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match;
-                NaN where the point is not visible to both cameras of any pair.
+                NaN where the point is not visible to both cameras of any pair. Or a `Volume`.
         """
 
 

@@ -16,7 +16,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.stereo.kernels import winner_numba
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.threads import PART, map_threads
+from omnistereo_lib.stereo.threads import map_rows
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
@@ -72,9 +72,7 @@ def index_and_confidence(
             [reference.winner(rows.float(), subindex), reference.confidence(rows.float())]
         )
 
-    volume = as_volume(volume)  # (H, W, N)
-    parts = map_threads(read_out, volume.split(max(1, PART // volume[0].numel())))
-    index, ratio = torch.cat(list(parts), 1)  # (H, W) each
+    index, ratio = map_rows(read_out, as_volume(volume))  # (H, W) each
     return index, ratio
 
 

@@ -6,7 +6,7 @@ properties of the ray. `python -m workshop error-bars` fits the weights by the p
 judges them on frames that it has not fitted; `error_bars.json` holds them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,6 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels import distribution_numba
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.threads import PART, map_threads
 
 # Shares of the rays: within σ and within the bound, as of a Gaussian within its σ and its 2 σ.
 WITHIN = (0.683, 0.954)
@@ -59,59 +58,67 @@ def weights_of(method: Method) -> Mapping[str, Any] | None:
 
 
 def error_bars(
-    method: Method,
-    sweep: SphereSweep,
-    volume: Tensor,
-    smooth: Tensor,
-    index: Tensor,
-    confidence: Tensor,
+    method: Method, sweep: SphereSweep, index: Floats, confidence: Floats, evidence: Floats
 ) -> ErrorBars | None:
     """Return the error bars of a depth; None for a method that has none.
 
     Where the rig states its `deviations`, what they do to the depth is added, as variances are.
 
     Args:
-        volume, smooth: Costs (H, W, N), and those that depth was read from, see `Method.smooth`.
         index, confidence: (H, W), of `Method.read_out`.
+        evidence: Of `evidence_of`.
     """
     if (fitted := weights_of(method)) is None:
         return None
     grid = sweep.grid
-    costs = (volume, smooth) if "cost" in fitted["sigma"] else None
-    spread = distribution(smooth, index, fitted["temperature"])
-    known = properties(spread, index, confidence, costs, grid)
+    known = properties(evidence, index, confidence, grid)
     sigma, bound = (np.exp(weighted(fitted[name], known)) for name in ("sigma", "bound"))
     bound = np.maximum(sigma, bound)
     # In 1/m; the truth is taken to lie within the spheres.
     per_sphere = grid.step * grid.num_spheres / _SPHERES
-    sigma, bound, at = sigma * per_sphere, bound * per_sphere, index.cpu().numpy()
+    sigma, bound = sigma * per_sphere, bound * per_sphere
     if sweep.rig.deviations:
         # What the uncertain poses do to the depth is independent of the matching, so variances add:
         # √(a² + b²), twice as much in the bound.
-        rays, inverse = grid.rays(), grid.index_to_inverse_depth(at)
+        rays, inverse = grid.rays(), grid.index_to_inverse_depth(index)
         seen = sweep.rig.sees(rays, inverse)
         moved = np.nan_to_num(calibration_deviation(sweep.rig, rays, inverse, seen))
         sigma, bound = np.hypot(sigma, moved), np.hypot(bound, 2 * moved)
-    reach = np.maximum(at, grid.num_spheres - 1 - at) * grid.step
-    second = np.where(spread[3] > SECOND_MASS, grid.index_to_inverse_depth(spread[4]), np.nan)
+    reach = np.maximum(index, grid.num_spheres - 1 - index) * grid.step
+    second = np.where(evidence[3] > SECOND_MASS, grid.index_to_inverse_depth(evidence[4]), np.nan)
     # Of costs, a second surface is no better than one bar: see the measurement.
     if not method.reads_out:
         second = np.full_like(second, np.nan)
     return ErrorBars(*(x.astype(np.float32) for x in (sigma, np.minimum(bound, reach), second)))
 
 
-def distribution(volume: Tensor, index: Tensor, temperature: float) -> Floats:
-    """Return `distribution_by_torch` of costs (H, W, N), computed some rows at a time."""
-    radius = max(1.0, volume.shape[-1] / _CELLS)
+def evidence_of(method: Method, costs: Sequence[Tensor], index: Tensor) -> Tensor:
+    """Return what the costs of rays tell of their errors, (0, 5 or 7, H, W): `distribution`, then
+    the cost of the depth, and how much more infinity costs.
 
-    def read(rows: Tensor, at: Tensor) -> Tensor:
-        on_cpu = rows.device.type == "cpu"
-        compute = distribution_numba.distribution if on_cpu else distribution_by_torch
-        return compute(rows.float(), at.float(), temperature, radius)
+    Args:
+        costs: (H, W, N) each: as they are, and if the method smooths them, smooth.
+        index: (H, W), of `Method.read_out`.
+    """
+    if (fitted := weights_of(method)) is None:
+        return index.new_empty(0, *index.shape)
+    spread = distribution(costs[-1], index, fitted["temperature"])
+    return torch.cat([spread, costs_at(costs, index)]) if "cost" in fitted["sigma"] else spread
 
-    height = max(1, PART // volume[0].numel())
-    parts = map_threads(read, volume.split(height), index.split(height))
-    return torch.cat(list(parts), 1).cpu().numpy()
+
+def costs_at(costs: Sequence[Tensor], index: Tensor) -> Tensor:
+    """Return the cost of the depth, and how much more infinity costs once smooth, (2, H, W)."""
+    nearest = index.nan_to_num().round().long()[..., None]
+    raw, best = (cost.gather(-1, nearest)[..., 0].nan_to_num().float() for cost in costs)
+    far = costs[1][..., : max(1, costs[1].shape[-1] // _CELLS)].nan_to_num(_MUCH).amin(-1)
+    return torch.stack([raw, (far.float() - best).clip(0, _MUCH)])
+
+
+def distribution(volume: Tensor, index: Tensor, temperature: float) -> Tensor:
+    """Return `distribution_by_torch` of costs (H, W, N)."""
+    on_cpu = volume.device.type == "cpu"
+    compute = distribution_numba.distribution if on_cpu else distribution_by_torch
+    return compute(volume.float(), index.float(), temperature, max(1.0, volume.shape[-1] / _CELLS))
 
 
 def distribution_by_torch(
@@ -146,42 +153,27 @@ def distribution_by_torch(
 
 
 def properties(
-    spread: Floats,
-    index: Tensor,
-    confidence: Tensor,
-    costs: tuple[Tensor, Tensor] | None,
-    grid: SphereGrid,
+    evidence: Floats, index: Floats, confidence: Floats, grid: SphereGrid
 ) -> dict[str, NDArray[Any]]:
-    """Return what tells the error of a ray, by name, each (H, W).
-
-    Args:
-        spread: Of `distribution`.
-        costs: (H, W, N), before and after they are smoothed; None: without what these tell.
-    """
+    """Return what tells the error of a ray, by name, each (H, W); see `error_bars`."""
     unit = _SPHERES / grid.num_spheres
-    at = np.nan_to_num(index.cpu().numpy())
+    at, (spread, mass, inside, second, _, *costs) = np.nan_to_num(index), evidence
     known = {
         "constant": np.ones_like(at),
-        "spread": np.log(unit * spread[0] + 0.1),
-        "spread of the peak": np.log(unit * spread[2] + 0.1),
-        "mass beside the peak": np.log(np.maximum(1 - spread[1], 0) + 2e-3),
-        "second mass": spread[3],
+        "spread": np.log(unit * spread + 0.1),
+        "spread of the peak": np.log(unit * inside + 0.1),
+        "mass beside the peak": np.log(np.maximum(1 - mass, 0) + 2e-3),
+        "second mass": second,
         "range of 3 x 3 rays": np.log(unit * range_around(at, 3) + 0.1),
         "range of 7 x 7 rays": np.log(unit * range_around(at, 7) + 0.1),
         "index": np.log(unit * at + 1),
-        "confidence": np.log(np.nan_to_num(confidence.cpu().numpy()) + 0.01),
+        "confidence": np.log(np.nan_to_num(confidence) + 0.01),
         "swept": np.full_like(at, -np.log(grid.min_depth)),
     }
-    if costs is not None:
-        nearest = index.nan_to_num().round().long()[..., None]
-        raw, best = (
-            cost.gather(-1, nearest)[..., 0].nan_to_num().float().cpu().numpy() for cost in costs
-        )
-        known["cost"] = raw
-        # By how much infinity costs more. Where that is little, the ray may as well be of the sky,
-        # and then it is off by as much as it was found to be near.
-        far = costs[1][..., : max(1, grid.num_spheres // _CELLS)].nan_to_num(_MUCH).amin(-1)
-        gap = np.log1p((far.float().cpu().numpy() - best).clip(0, _MUCH))
+    if costs:
+        # Where infinity costs little more, the ray may as well be of the sky, and then it is off by
+        # as much as it was found to be near.
+        known["cost"], gap = costs[0], np.log1p(costs[1])
         known["gap to infinity"] = gap
         for name in ("index", "range of 7 x 7 rays"):
             known[f"gap x {name}"] = gap * known[name]

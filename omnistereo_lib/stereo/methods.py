@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Self, get_args, get_type_hints
+from typing import Any, Literal, Self, TypeVar, get_args, get_type_hints
 
 from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.cost import Cost
+from omnistereo_lib.stereo.cost import Cost, Volume
 from omnistereo_lib.stereo.depth import index_and_confidence
 from omnistereo_lib.stereo.learned import LearnedCost, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
@@ -31,6 +31,7 @@ from omnistereo_lib.stereo.zncc import ZNCC
 FRAME_METHOD = "volumenet"
 # The default for many frames, recorded or live: the fastest that is smooth.
 VIDEO_METHOD = "zncc+sgm"
+_Volume = TypeVar("_Volume", bound=Volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +253,7 @@ class Method:
 
         return sweep.keep((COSTS[self.cost], self.volume_key, precision), load)
 
-    def smooth(self, volume: Tensor) -> Tensor:
+    def smooth(self, volume: _Volume) -> _Volume | Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where there is SGM."""
         if self.aggregate == "none":
             return volume
@@ -260,7 +261,7 @@ class Method:
         p1, p2 = penalties(*volume.shape[1:])
         p2 = max(p2, self.p1 or 0) if self.p2 is None else self.p2
         p1 = min(p1, p2) if self.p1 is None else self.p1
-        return sgm(volume, p1, p2, wrap=self.wrap)
+        return sgm(volume[:], p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
         """Return index and confidence (H, W); the setting of the method outranks `subindex`."""

@@ -4,17 +4,19 @@ from collections.abc import Sequence
 
 import torch
 from numpy.typing import ArrayLike
+from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.error_bars import error_bars
+from omnistereo_lib.stereo.error_bars import error_bars, evidence_of
 from omnistereo_lib.stereo.learned import Precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.threads import map_rows
+from omnistereo_lib.stereo.volume import costs_by_rows
 
 
 def estimate_depth(
@@ -70,9 +72,16 @@ def sweep_depth(
         precision: Of networks; see `choose_precision`.
     """
     method, frame = Method.parse(method), Frame.of(sweep.rig, images)
-    # (H, W, N)
-    volume = cost_volume(sweep, frame, method.cost_of(sweep, precision), method.pairs, progress)
-    smooth = method.smooth(volume)
-    index, confidence = method.read_out(smooth, subindex)  # (H, W) each
-    bars = error_bars(method, sweep, volume, smooth, index, confidence)
-    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, frame, *(bars or ()))
+    # (H, W, N) each, as it is and smooth; that of VolumeNet is never whole.
+    costs = costs_by_rows(sweep, frame, method.cost_of(sweep, precision), method.pairs, progress)
+    volumes = [costs] if (smooth := method.smooth(costs)) is costs else [costs, smooth]
+
+    def read(*rows: Tensor) -> Tensor:  # (h, W, N) each → (2 and more, h, W)
+        index, confidence = method.read_out(rows[-1], subindex)
+        return torch.stack([index, confidence, *evidence_of(method, rows, index)])
+
+    found = map_rows(read, *volumes).cpu().numpy()
+    del costs, volumes, smooth
+    index, confidence = found[:2].copy()  # (H, W) each
+    bars = error_bars(method, sweep, index, confidence, found[2:])
+    return Depth(index, confidence, sweep, frame, *(bars or ()))

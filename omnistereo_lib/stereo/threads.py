@@ -4,25 +4,45 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from threading import local
 from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 
 # Cells of a volume that a thread reads at a time: 2 MB in float32.
 PART = 1 << 19
 
 _Result = TypeVar("_Result")
+_thread = local()
 
 
 def map_threads(function: Callable[..., _Result], *arguments: Iterable[Any]) -> Iterator[_Result]:
     """Yield what `map` does, computed in `torch.get_num_threads()` threads.
 
-    The function must not call this itself.
+    Called in one of these, it is `map`: a thread that waits for others would keep them from work.
     """
+    if hasattr(_thread, "is_ours"):
+        return map(function, *arguments)
     return _pool(torch.get_num_threads()).map(function, *arguments)
 
 
-_pool = cache(ThreadPoolExecutor)
+def map_rows(function: Callable[..., Tensor], *volumes: Any) -> Tensor:
+    """Return function(some rows of each volume), (K, rows, W), of all rows of (H, W, N): (K, H, W).
+
+    A volume is a tensor, or anything with its shape whose slices of rows are tensors.
+    """
+    height, width, cells = volumes[0].shape
+    each = max(1, PART // (width * cells))
+    parts = [slice(y, y + each) for y in range(0, height, each)]
+    return torch.cat(
+        list(map_threads(lambda part: function(*(one[part] for one in volumes)), parts)), 1
+    )
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, initializer=lambda: setattr(_thread, "is_ours", True))
 
 
 def _after_fork() -> None:

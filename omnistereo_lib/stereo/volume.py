@@ -12,7 +12,7 @@ from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pairs, camera_pairs
 from omnistereo_lib.progress import Progress, silent
-from omnistereo_lib.stereo.cost import Cost
+from omnistereo_lib.stereo.cost import Cost, Volume
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.zncc import ZNCC
 
@@ -25,6 +25,8 @@ def cost_volume(
     progress: Progress = silent,
 ) -> Tensor:
     """Compute the cost volume C(p, n), the mean cost over camera pairs (Eq. 2).
+
+    It is whole; `sweep_depth` reads that of `VolumeNet` by rows, and holds a few of them.
 
     Args:
         images: A frame, or one array per camera, (height, width) or (height, width, 3).
@@ -44,6 +46,17 @@ def cost_volume(
     >>> osl.cost_volume(sweep, frame.images, osl.ZNCC(window=5)).shape
     torch.Size([16, 64, 16])
     """
+    return costs_by_rows(sweep, images, cost, pairs, progress)[:]
+
+
+def costs_by_rows(
+    sweep: SphereSweep,
+    images: Frame | Sequence[ArrayLike],
+    cost: Cost | None = None,
+    pairs: Pairs = "ring",
+    progress: Progress = silent,
+) -> Volume:
+    """Return the volume of `cost_volume` as the cost gives it, whole or by rows."""
     # Check the cost, which may be the user's own, before it runs and what it returns.
     cost = ZNCC() if cost is None else cost
     if not hasattr(cost, "volume") or isinstance(cost, type):
@@ -54,7 +67,8 @@ def cost_volume(
     _check_network(getattr(cost, "network", cost))
     pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
     volume = cost.volume(sweep, Frame.of(sweep.rig, images), pairs, progress)
-    if not (isinstance(volume, Tensor) and volume.shape == shape and volume.is_floating_point()):
+    rows = volume[:1] if getattr(volume, "shape", ()) == shape else None
+    if not (isinstance(rows, Tensor) and rows.is_floating_point()):
         kind = (
             f"{volume.dtype} of shape {tuple(volume.shape)}"
             if isinstance(volume, Tensor)
@@ -63,7 +77,7 @@ def cost_volume(
         raise OmnistereoError(
             f"the cost {shortened(cost)} returns {kind}; expected a float tensor of shape {shape}"
         )
-    if all(row.isnan().all() for row in volume):
+    if all(volume[y : y + 1].isnan().all() for y in range(shape[0])):
         raise OmnistereoError(
             f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig,"
             f" metres), the field of view, the masks and phi_deg = {sweep.grid.phi_deg}."

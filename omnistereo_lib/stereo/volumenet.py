@@ -40,6 +40,7 @@ from omnistereo_lib.stereo.correlation import (
     volume_cells,
     volume_sizes,
 )
+from omnistereo_lib.stereo.cost import Volume
 from omnistereo_lib.stereo.device import takes_loops
 from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
@@ -288,7 +289,7 @@ class VolumeNet(StoredNetwork):
         frame: Frame,
         pairs: Sequence[Pair] = (),
         progress: Progress = silent,
-    ) -> Tensor:
+    ) -> Volume:
         """Return 1 - probability of every sphere, (H, W, N); NaN where no two cameras see the ray.
 
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
@@ -296,7 +297,7 @@ class VolumeNet(StoredNetwork):
         if (network := self.ready(sweep.device)) is not self:
             return network.volume(sweep, frame, pairs, progress)
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
-        step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + 1)
+        step = counted(progress, len(sizes) * (len(sweep.rig) + 3))
         # The logits of every cell, from a coarse volume and a finer one.
         logits = []  # (1, w, h, n) each
         for size in sizes:
@@ -311,10 +312,8 @@ class VolumeNet(StoredNetwork):
                 del prepared
         # Rays that fewer than two cameras see in every cell have no cost.
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
-        step("read-out")
-        volume = costs_of(logits, hidden, grid)
         step("")
-        return volume
+        return costs_of(logits, hidden, grid)
 
     def correlation_at(
         self,
@@ -361,11 +360,11 @@ def normalize(image: Tensor, visible: Tensor) -> Tensor:
     return centered / deviation.clamp(min=1e-6)
 
 
-def costs_of(logits: Sequence[Tensor], hidden: Tensor, grid: SphereGrid) -> Tensor:
+def costs_of(logits: Sequence[Tensor], hidden: Tensor, grid: SphereGrid) -> Volume:
     """Return 1 - probability (H, W, N) of logits (1, w, h, n); NaN where hidden (H, W)."""
     if hidden.device.type == "cpu":
         levels = [one[0] @ along_rays(one, grid.num_spheres) for one in logits]
-        return read_out_numba.costs(levels, hidden)
+        return read_out_numba.Costs(levels, hidden)
     # The mean logits at full size become probabilities, some columns at a time.
     parts = []
     for columns in torch.arange(grid.width, device=hidden.device).split(64):

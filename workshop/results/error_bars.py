@@ -24,6 +24,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo import error_bars
 from omnistereo_lib.stereo.error_bars import (
     WITHIN,
+    costs_at,
     distribution,
     properties,
     range_around,
@@ -141,10 +142,12 @@ def measure(frame: Frame, method: Method) -> dict[str, Any]:
     volume = cost_volume(sweep, frame.images, method.cost_of(sweep), method.pairs)
     smooth = method.smooth(volume)
     index, confidence = method.read_out(smooth, True)
-    spread = distribution(smooth, index, METHODS[method.name])
-    costs = None if method.reads_out else (volume, smooth)
-    known = properties(spread, index, confidence, costs, grid)
-    truth, at = frame.gt_index(grid), index.numpy()
+    told = [distribution(smooth, index, METHODS[method.name])]
+    if not method.reads_out:
+        told.append(costs_at((volume, smooth), index))
+    at = index.numpy()
+    known = properties(torch.cat(told).numpy(), at, confidence.numpy(), grid)
+    truth = frame.gt_index(grid)
     edge = range_around(np.nan_to_num(truth).astype(np.float32), 5) > 0.03 * SPHERES
     usable = np.isfinite(at) & np.isfinite(truth) & (truth >= 0) & (truth < SPHERES)
     reach = np.maximum(at, SPHERES - 1 - at)

@@ -19,35 +19,43 @@ _SERIES = tuple(np.float32(math.log(2) ** k / math.factorial(k)) for k in range(
 _BITS = np.float32(127)  # float32's exponent is stored with this much added, 23 bits up
 
 
-def costs(levels: Sequence[Tensor], hidden: Tensor) -> Tensor:
-    """Return 1 - softmax of the sum of logits, resized to the rays: (H, W, N).
+class Costs:
+    """1 - softmax of the sum of logits, resized to the rays, (H, W, N): by rows, where it is read.
 
     Args:
         levels: (w, h, N) each, float32, of coarser rays, circular in the first.
         hidden: bool, (H, W), where the result is NaN.
     """
-    # One cell a row in one table; a ray lies between two columns and two rows of each level.
-    H, W = hidden.shape
-    table = torch.cat([one.reshape(-1, one.shape[-1]) for one in levels]).numpy()
-    first = np.cumsum([0, *(one.shape[0] * one.shape[1] for one in levels)])
-    columns, rows = [], []
-    for start, (width, height, _) in zip(first, (one.shape for one in levels), strict=False):
-        low, high, share = _between(width, W, circular=True)
-        columns.append((start + low * height, start + high * height, share))
-        rows.append(_between(height, H, circular=False))
-    (across, s), (down, t) = (
-        (np.array([one[:2] for one in side]), np.array([one[2] for one in side], np.float32))
-        for side in (columns, rows)
-    )
-    volume = np.empty((H, W, table.shape[1]), np.float32)
 
-    def fill(part: slice) -> None:
-        own = down[..., part], t[:, part], hidden.numpy()[part]
-        _fill_rows(table, across, s, *own, volume[part])
+    def __init__(self, levels: Sequence[Tensor], hidden: Tensor) -> None:
+        # One cell a row in one table; a ray lies between two columns and two rows of each level.
+        H, W = hidden.shape
+        self.shape = H, W, levels[0].shape[-1]
+        self._hidden = hidden.numpy()
+        self._table = torch.cat([one.reshape(-1, one.shape[-1]) for one in levels]).numpy()
+        first = np.cumsum([0, *(one.shape[0] * one.shape[1] for one in levels)])
+        columns, rows = [], []
+        for start, (width, height, _) in zip(first, (one.shape for one in levels), strict=False):
+            low, high, share = _between(width, W, circular=True)
+            columns.append((start + low * height, start + high * height, share))
+            rows.append(_between(height, H, circular=False))
+        (self._across, self._s), (self._down, self._t) = (
+            (np.array([one[:2] for one in side]), np.array([one[2] for one in side], np.float32))
+            for side in (columns, rows)
+        )
 
-    rows_each = max(1, PART // volume[0].size)
-    list(map_threads(fill, [slice(y, y + rows_each) for y in range(0, H, rows_each)]))
-    return torch.from_numpy(volume)
+    def __getitem__(self, rows: slice) -> Tensor:
+        """Compute some rows."""
+        down, t, hidden = self._down[..., rows], self._t[:, rows], self._hidden[rows]
+        costs = np.empty((*hidden.shape, self.shape[2]), np.float32)
+
+        def fill(part: slice) -> None:
+            own = down[..., part], t[:, part], hidden[part]
+            _fill_rows(self._table, self._across, self._s, *own, costs[part])
+
+        each = max(1, PART // costs[0].size)
+        list(map_threads(fill, [slice(y, y + each) for y in range(0, len(costs), each)]))
+        return torch.from_numpy(costs)
 
 
 def _between(size: int, full: int, circular: bool) -> tuple[NDArray[Any], NDArray[Any], Any]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
-from omnistereo_lib.stereo import depth
+from omnistereo_lib.stereo import depth, threads
 from omnistereo_lib.stereo.metrics import sparsification
 
 
@@ -24,7 +24,7 @@ def test_index_and_confidence_are_those_of_the_definition(seed, num_spheres, unk
     rng = np.random.default_rng(seed)
     volume = rng.integers(0, 9, (5, 6, num_spheres)).astype(np.float32)  # many costs are equal
     volume[rng.random(volume.shape) < unknown] = np.nan
-    with mock.patch.object(depth, "PART", 2 * 6 * num_spheres):  # two rows at a time
+    with mock.patch.object(threads, "PART", 2 * 6 * num_spheres):  # two rows at a time
         found = depth.index_and_confidence(volume, subindex)
     exact = torch.from_numpy(volume).double()
     for ours, expected in zip(

@@ -24,7 +24,7 @@ def test_the_compiled_distribution_is_the_plain_one(temperature, spheres):
     volume[torch.rand(volume.shape, generator=rng) < 0.1] = torch.nan
     index = torch.rand(12, 30, generator=rng) * (spheres - 1)
     index[0, 0] = torch.nan
-    found = distribution(volume, index, temperature)
+    found = distribution(volume, index, temperature).numpy()
     plain = distribution_by_torch(volume, index, temperature, max(1.0, spheres / 32)).numpy()
     known = np.isfinite(index.numpy())
     np.testing.assert_allclose(found[:, known], plain[:, known], rtol=1e-4, atol=1e-4)

@@ -21,6 +21,11 @@ def test_an_error_comes_out_and_the_threads_go_on():
     assert list(map_threads(abs, [-1])) == [1]
 
 
+def test_a_thread_that_waits_for_others_does_their_work():
+    rows = map_threads(lambda y: list(map_threads(lambda x: 10 * y + x, range(3))), range(9))
+    assert list(rows) == [[10 * y, 10 * y + 1, 10 * y + 2] for y in range(9)]
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork")
 def test_a_forked_process_starts_its_own():
     list(map_threads(abs, range(4)))

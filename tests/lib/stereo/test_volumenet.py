@@ -1,6 +1,7 @@
 """VolumeNet: every part against its definition, and what must hold for any weights."""
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
+from omnistereo_lib.stereo import threads
 from omnistereo_lib.stereo.correlation import (
     coordinates_of,
     correlate,
@@ -18,8 +20,9 @@ from omnistereo_lib.stereo.correlation import (
     volume_cells,
     volume_sizes,
 )
-from omnistereo_lib.stereo.kernels import correlation_numba
+from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
 from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import (
@@ -162,7 +165,7 @@ def test_costs_by_loops_are_the_softmax_of_resized_logits():
     columns = torch.arange(96)
     mean = sum(resize_logits(one, columns, GRID)[0] for one in logits).transpose(0, 1)
     expected = (1 - mean.double().softmax(-1)).masked_fill(hidden[..., None], torch.nan)
-    loops = costs_of(logits, hidden, GRID).double()
+    loops = costs_of(logits, hidden, GRID)[:].double()
     assert torch.allclose(loops, expected, atol=1e-6, equal_nan=True)
 
 
@@ -327,6 +330,25 @@ def test_weights_travel_in_a_file(network, tmp_path):
     assert torch.equal(index, expected[0]) and torch.equal(confidence, expected[1])
 
 
+def test_depth_is_read_from_a_few_rows_at_a_time(network, monkeypatch):
+    rig = scene.rig(width=120, height=112)
+    sweep, frame = SphereSweep(rig, GRID), osl.Frame.of(rig, scene.images(rig, finest=0.5))
+    read, compute = [], read_out_numba.Costs.__getitem__
+
+    def rows_of(volume, rows):
+        read.append(range(*rows.indices(volume.shape[0])))
+        return compute(volume, rows)
+
+    monkeypatch.setattr(read_out_numba.Costs, "__getitem__", rows_of)
+    monkeypatch.setattr(threads, "PART", 5 * GRID.width * GRID.num_spheres)
+    monkeypatch.setattr(Method, "cost_of", lambda *_: network)
+    found = sweep_depth(sweep, frame, "volumenet")
+    assert max(map(len, read)) == 5 and {*chain(*read)} == {*range(GRID.height)}
+    index, confidence = local_mean(cost_volume(sweep, frame, network))
+    np.testing.assert_array_equal(found.index, index)
+    np.testing.assert_array_equal(found.confidence, confidence)
+
+
 def test_images_are_checked(network):
     rig = scene.rig(width=120, height=112)
     *images, last = scene.images(rig, finest=0.5)
@@ -346,6 +368,6 @@ def test_progress_goes_over_the_whole_work_and_names_its_parts(network):
     for hook in hooks:
         hook.remove()
     cameras = [f"camera {k} of 4" for k in (1, 2, 3, 4)]
-    names = ["tables", *cameras, "correlation", "U-net", "read-out", ""]
-    before = [0, 0, 1, 2, 3, 4, 4, 5, 5]
-    assert seen == [(k, 8, *named) for k, named in enumerate(zip(names, before, strict=True))]
+    names = ["tables", *cameras, "correlation", "U-net", ""]
+    before = [0, 0, 1, 2, 3, 4, 4, 5]
+    assert seen == [(k, 7, *named) for k, named in enumerate(zip(names, before, strict=True))]
