@@ -81,21 +81,23 @@ def picture_doubt(images: Sequence[NDArray[Any]]) -> str | None:
     return f"images {', '.join(same)} are identical. Check their paths" if same else None
 
 
-def matching_cost(frame: Frame, grid: SphereGrid) -> float:
+def matching_cost(frame: Frame, grid: SphereGrid, sweep: SphereSweep | None = None) -> float:
     """Return how well images match along the rays of a rig, the first sign of one that does not
     fit: the median of `lowest_costs`; 0.5 if no pair shares a view.
     """
-    lowest = lowest_costs(frame, grid)
+    lowest = lowest_costs(frame, grid, sweep)
     return _NO_OVERLAP if np.isnan(lowest).all() else float(np.nanmedian(lowest))
 
 
-def lowest_costs(frame: Frame, grid: SphereGrid) -> NDArray[np.float32]:
+def lowest_costs(
+    frame: Frame, grid: SphereGrid, sweep: SphereSweep | None = None
+) -> NDArray[np.float32]:
     """Return the best raw ZNCC cost of each ray, (H, W) in [0, 1], NaN where no pair sees one.
 
-    The images are reduced as suits the grid.
+    The images are reduced as suits the grid. A sweep of that rig and grid may lend its tables.
     """
     small = frame.reduced(grid.width / 360)
-    sweep = SphereSweep(small.rig, grid)
+    sweep = sweep or SphereSweep(small.rig, grid)
     valid = sweep.rig.sees(grid.rays(), 1 / grid.max_depth)
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
         return np.full((grid.height, grid.width), np.nan, np.float32)
@@ -110,9 +112,11 @@ def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
         yield doubt
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
-    cost = matching_cost(frame, coarse)
+    small = frame.reduced(coarse.width / 360)
+    given = coarse, SphereSweep(small.rig, coarse)
+    cost = matching_cost(small, *given)
     # Images that are all moved on fit a ring of cameras nearly as well as in their order.
-    if cost > _MATCHES or any(matching_cost(other, coarse) < cost for other in _moved_on(frame)):
+    if cost > _MATCHES or any(matching_cost(other, *given) < cost for other in _moved_on(small)):
         from omnistereo_rigs.doctor.rig_check import find_mixup
 
         if found := find_mixup(frame):

@@ -83,7 +83,6 @@ def blended_panoramas(
     # Σ weight · colour, and Σ weight
     sizes = [(f * grid.height, f * grid.width, gains.shape[1] + 1) for f in factors]
     totals = [np.zeros(size, np.float32) for size in sizes]
-    no_second: Any = None  # see `remap`
     # In float32, by torch: three times as fast as `project_sphere`.
     rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(grid.rays()).float())
     coarse = _project(rig, rays, depth.inverse_depth)
@@ -92,9 +91,15 @@ def blended_panoramas(
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         shares = np.dstack([bright * weight, weight])
         for total, maps_of in zip(totals, places, strict=True):
-            for sums, maps in zip(strips(total), strips(maps_of(k)), strict=True):
-                sums += cv2.remap(shares, maps, no_second, cv2.INTER_LINEAR)
+            _add(total, shares, maps_of(k))
     return [*map(_divided, totals)]
+
+
+def _add(total: NDArray[np.float32], shares: NDArray[np.float32], maps: NDArray[Any]) -> None:
+    """Add to a panorama what an image has at the places (H, W, 2)."""
+    no_second: Any = None  # see `remap`
+    for sums, places in zip(strips(total), strips(maps), strict=True):
+        sums += cv2.remap(shares, places, no_second, cv2.INTER_LINEAR)
 
 
 def strips(panorama: NDArray[Any]) -> list[NDArray[Any]]:
@@ -103,14 +108,13 @@ def strips(panorama: NDArray[Any]) -> list[NDArray[Any]]:
 
 
 def _divided(total: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return Σ weight · colour / Σ weight: (H, W, C), or (H, W) of one channel."""
-    blended = np.empty((*total.shape[:2], total.shape[2] - 1), np.float32)
-    for out, sums in zip(strips(blended), strips(total), strict=True):
+    """Return Σ weight · colour / Σ weight in its place: (H, W, C), or (H, W) of one channel."""
+    for sums in strips(total):
         *colors, weight = cv2.split(sums)  # NumPy is slow across interleaved channels
         with np.errstate(invalid="ignore"):
             for k, color in enumerate(colors):
-                np.divide(color, weight, out=color).clip(0, 255, out=out[..., k])
-    return blended if blended.shape[2] > 1 else blended[..., 0]
+                np.divide(color, weight, out=color).clip(0, 255, out=sums[..., k])
+    return total[..., :-1] if total.shape[2] > 2 else total[..., 0]
 
 
 def _pixels(
