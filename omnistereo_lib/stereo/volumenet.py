@@ -42,7 +42,7 @@ from omnistereo_lib.stereo.correlation import (
 )
 from omnistereo_lib.stereo.cost import Volume
 from omnistereo_lib.stereo.device import takes_loops
-from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
+from omnistereo_lib.stereo.kernels import correlation_numba, double_numba, read_out_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -204,8 +204,11 @@ class Up(nn.ModuleList):
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
         """Return the finer level (B, C, W, H, N), given the coarser and that of the way down."""
         project, merge = self
+        x = project(x)
         # Into the finer level, which no gradient needs then: the largest array of the U-net less.
-        doubled = double(project(x))
+        if fuses(level) and x.dtype == torch.bfloat16:
+            return merge(double_numba.add_doubled(level, x))
+        doubled = double(x)
         x = level.add_(doubled) if fuses(level) else doubled.add_(level)
         del doubled
         return merge(x)

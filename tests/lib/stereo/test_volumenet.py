@@ -21,6 +21,7 @@ from omnistereo_lib.stereo.correlation import (
     volume_sizes,
 )
 from omnistereo_lib.stereo.kernels import correlation_numba, read_out_numba
+from omnistereo_lib.stereo.kernels.double_numba import add_doubled
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -28,6 +29,7 @@ from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import (
     VolumeNet,
     costs_of,
+    double,
     local_mean,
     normalize,
     resize_logits,
@@ -156,6 +158,18 @@ def test_what_runs_in_one_pass_is_what_the_layers_say(network):
         fused = network.features(image, visible), network(volume)
     for a, b in zip(fused, by_layers, strict=True):
         assert torch.allclose(a, b, atol=1e-5)
+
+
+def test_a_step_up_in_one_pass_has_the_bits_of_its_steps():
+    """In bfloat16: doubling rounds, and the sum rounds again."""
+    rng, layout = torch.Generator().manual_seed(3), torch.channels_last_3d
+    x, level = (
+        torch.randn(2, 3, *size, generator=rng).bfloat16().contiguous(memory_format=layout)
+        for size in ((5, 3, 4), (10, 6, 8))
+    )
+    expected = level + double(x)
+    assert torch.equal(add_doubled(level, x), expected)
+    assert torch.equal(level, expected)  # in place
 
 
 def test_costs_by_loops_are_the_softmax_of_resized_logits():
