@@ -147,14 +147,17 @@ def _write(
 ) -> None:
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import write_text
+    from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.geometry.trajectory import trajectory_tum
     from omnistereo_tools.output.summary import GOOD, fits
     from omnistereo_tools.progress import say
     from omnistereo_tools.world.page import world_page, write_surface
-    from omnistereo_tools.world.surface import extract_surface
+    from omnistereo_tools.world.surface import extract_surface, seen_surface
 
     say("extracting the surface")
-    out, surface = refined.parent, extract_surface(volume)
+    out = refined.parent
+    fused = ((T, read_inverse_depth(refined / f"{n:05}.tiff")) for n, T in poses.items())
+    surface = seen_surface(extract_surface(volume), fused, frames.grid)
     if len(surface.faces) == 0:
         raise OmnistereoError(
             f"no surface is left of {options.recording}. Pass a smaller --voxel or a larger --range"

@@ -20,8 +20,8 @@ from omnistereo_tools.output.render import (
     paint,
     view_rays,
 )
-from omnistereo_tools.world.page import PageView, choose_views, panorama_with_far
-from omnistereo_tools.world.surface import Surface
+from omnistereo_tools.world.page import PageView, panorama_with_far
+from omnistereo_tools.world.surface import Surface, choose_views
 
 RATE = Fraction(20)  # frames/s
 _SPEED, _BEHIND, _TILT = 3.0, 3.0, 0.15  # m/s; metres from the rig; radians down
@@ -37,7 +37,7 @@ def flight(
     """Yield the frames, BGR: the surface seen from behind the rig, and what the nearest frame has
     seen; arguments as of `world_page`.
     """
-    chosen = choose_views(surface, views, grid)
+    chosen = choose_views(surface, ((view.pose, view.refined) for view in views), grid)
     faces, plain = surface.faces, surface.color[surface.faces].mean(axis=1)
     panoramas = [panorama_with_far(view, farthest) for view in views]
     scale, size = ColorScale(0.0, 0.8 / grid.min_depth), (FILM[0], panes(grid)[0])

@@ -17,11 +17,10 @@ from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
 from omnistereo_tools.output.points import AXES
 from omnistereo_tools.output.viewer import packed, page_of, webp
-from omnistereo_tools.world.surface import Surface
+from omnistereo_tools.world.surface import Surface, choose_views
 
 _MOST_TRIANGLES = 450_000  # of the page, which stays below 5 MB
 _STEPS = 65535  # of a coordinate on the page
-_SAME = 0.12  # of a distance: a frame sees a surface that is no farther from its depth
 MOST_VIEWS, VIEW_WIDTH = 24, 1280  # of the page; px of each panorama
 
 
@@ -79,7 +78,7 @@ def world_page(
     small = _coarser(surface)
     low = small.vertices.min(axis=0)
     size = np.maximum(small.vertices.max(axis=0) - low, 1e-6)
-    chosen = choose_views(small, views, grid)
+    chosen = choose_views(small, ((view.pose, view.refined) for view in views), grid)
     order = np.argsort(chosen, kind="stable")
     data = {
         "title": title,
@@ -124,27 +123,6 @@ def panorama_with_far(view: PageView, farthest: float) -> NDArray[np.uint8]:
     far = (view.refined < 1 / farthest).astype(np.float32)
     alpha = 128 + 127 * cv2.resize(far, view.panorama.shape[1::-1])
     return np.dstack([view.panorama, alpha.astype(np.uint8)])
-
-
-def choose_views(
-    surface: Surface, views: Sequence[PageView], grid: SphereGrid
-) -> NDArray[np.int64]:
-    """Return for each triangle the view that shows it largest, -1 where none sees it."""
-    corners = surface.vertices[surface.faces]
-    middle = corners.mean(axis=1)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    best, chosen = np.zeros(len(middle), np.float32), np.full(len(middle), -1)
-    for k, view in enumerate(views):
-        away = middle - view.pose.t.astype(np.float32)
-        distance = np.sqrt(np.einsum("ki,ki->k", away, away))
-        size = -np.einsum("ki,ki->k", away, normals) / distance**3
-        larger = np.flatnonzero(size > best)
-        inverse, inside = grid.look_up(view.refined, away[larger] @ view.pose.R)
-        # Nothing is before it: a panorama that ends there shows it.
-        seen = larger[inside & (np.abs(inverse * distance[larger] - 1) < _SAME)]
-        chosen[seen], best[seen] = k, size[seen]
-    return chosen
 
 
 def _coarser(surface: Surface) -> Surface:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels.compiled import compiled
 from omnistereo_tools.world.fusion import BAND, BLOCK, Volume, Voxels, distance_at, find_block
 
 _LEAST_WEIGHT = 2.0  # 1/m²: only a surface that is known to 0.7 m is drawn
 _LEAST_TRIANGLES = 100  # of a piece: smaller ones are noise
+_SAME = 0.12  # of a distance: a frame sees a surface that is no farther from its depth
 _loop = compiled(nogil=True, error_model="numpy")
 _Single = NDArray[np.float32]
 
@@ -44,12 +48,59 @@ def extract_surface(volume: Volume) -> Surface:
         (_join(voxels, volume.voxel, numbers, np.zeros((0, 3), np.int64)), 3), np.int64
     )
     _join(voxels, volume.voxel, numbers, faces)
+    return _without_small_pieces(Surface(vertices, faces, color))
+
+
+def seen_surface(
+    surface: Surface, views: Iterable[tuple[Pose, NDArray[np.float32]]], grid: SphereGrid
+) -> Surface:
+    """Return what frames see of a surface, without pieces of few triangles.
+
+    Between what is free in front of an edge and what is hidden behind it, distances change sign
+    where no frame has seen anything. Arguments as of `choose_views`. On the drive and on 5 frames
+    of the training drive (320 x 80, VolumeNet) 57 and 3 % of what is over 1 m from the truth goes,
+    and .6 and .1 % of what was found within 30 cm of it.
+    """
+    unseen = np.arange(len(surface.faces))
+    for view in views:
+        left = replace(surface, faces=surface.faces[unseen])
+        unseen = unseen[choose_views(left, [view], grid) < 0]
+    return _without_small_pieces(replace(surface, faces=np.delete(surface.faces, unseen, axis=0)))
+
+
+def choose_views(
+    surface: Surface, views: Iterable[tuple[Pose, NDArray[np.float32]]], grid: SphereGrid
+) -> NDArray[np.int64]:
+    """Return for each triangle the view that shows it largest, -1 where none sees it.
+
+    Args:
+        views: Rig → world, and the inverse depth (H, W), 1/m, of the fused frame.
+    """
+    corners = surface.vertices[surface.faces]
+    middle = corners.mean(axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    best, chosen = np.zeros(len(middle), np.float32), np.full(len(middle), -1)
+    for k, (pose, inverse_depth) in enumerate(views):
+        away = middle - pose.t.astype(np.float32)
+        distance = np.sqrt(np.einsum("ki,ki->k", away, away))
+        size = -np.einsum("ki,ki->k", away, normals) / distance**3
+        larger = np.flatnonzero(size > best)
+        inverse, inside = grid.look_up(inverse_depth, away[larger] @ pose.R)
+        # Nothing is before it: a panorama that ends there shows it.
+        seen = larger[inside & (np.abs(inverse * distance[larger] - 1) < _SAME)]
+        chosen[seen], best[seen] = k, size[seen]
+    return chosen
+
+
+def _without_small_pieces(surface: Surface) -> Surface:
+    faces, count = surface.faces, len(surface.vertices)
     graph = coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 1])), (count, count))
     graph += coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 2])), (count, count))
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     faces = faces[np.bincount(piece)[piece] >= _LEAST_TRIANGLES] if len(faces) else faces
     used, corners = np.unique(faces, return_inverse=True)
-    return Surface(vertices[used], corners.reshape(-1, 3), color[used])
+    return Surface(surface.vertices[used], corners.reshape(-1, 3), surface.color[used])
 
 
 @_loop

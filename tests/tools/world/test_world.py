@@ -14,9 +14,8 @@ from omnistereo_rigs.images.features import FeatureFinder
 from omnistereo_tools.world.build import jumps_past_others
 from omnistereo_tools.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_tools.world.motion import SightingFinder, rig_step
-from omnistereo_tools.world.page import PageView, choose_views
 from omnistereo_tools.world.refine import mix, moving_rays
-from omnistereo_tools.world.surface import extract_surface
+from omnistereo_tools.world.surface import choose_views, extract_surface, seen_surface
 
 GRID = osl.SphereGrid(320, 160, (-90.0, 90.0), num_spheres=64, min_depth=0.5)
 RADIUS, VOXEL, REACH = 3.0, 0.1, 10.0
@@ -126,11 +125,10 @@ def test_the_mesh_is_closed_and_lies_on_the_surface(sphere):
 def test_a_triangle_is_coloured_by_the_frame_that_shows_it_largest(sphere):
     surface, places = extract_surface(sphere), np.array([[0.0, 0, 2], [0, 0, -2]])
     views = []
-    for number, place in enumerate(places):
+    for place in places:
         inverse = (1 / in_sphere(place)).astype(np.float32)
         inverse[:, :40] = 4  # something is nearer there
-        panorama = np.zeros((*GRID.shape, 3), np.uint8)
-        views.append(PageView(number, osl.Pose(np.eye(3), place), panorama, inverse, inverse))
+        views.append((osl.Pose(np.eye(3), place), inverse))
     chosen = choose_views(surface, views, GRID)
     middle = surface.vertices[surface.faces].mean(axis=1)
     away = np.linalg.norm(middle - places[:, None], axis=-1)
@@ -138,6 +136,9 @@ def test_a_triangle_is_coloured_by_the_frame_that_shows_it_largest(sphere):
     clear = ~hidden.any(0) & (np.abs(away[0] - away[1]) > 1)
     assert (chosen[clear] == (away[1] < away[0])[clear]).mean() > 0.98
     assert (chosen[hidden.all(0)] == -1).all() and hidden.all(0).sum() > 100
+    kept = seen_surface(surface, views, GRID)
+    kept = kept.vertices[kept.faces].mean(axis=1)
+    np.testing.assert_array_equal(kept, middle[chosen >= 0])
 
 
 def test_what_other_frames_see_through_is_carved():
