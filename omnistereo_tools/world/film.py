@@ -48,7 +48,8 @@ def flight(
         rays = view_rays(T, focal, size)
         nearest = int(np.argmin([np.linalg.norm(view.pose.t - place) for view in views]))
         sky = paint(panoramas[nearest], grid, _turned(views[nearest].pose, rays)).astype(np.float32)
-        picture = np.where(sky[..., 3:] > 200, sky[..., :3], BACKGROUND)
+        opaque = (sky[..., 3:] - 128) / 120
+        picture = np.float32(BACKGROUND) + opaque * (sky[..., :3] - BACKGROUND)
         hit = shown >= 0
         ends = (rays[hit] * distance[hit, None] + T.t).astype(np.float32)
         colors, of_view = np.empty((len(ends), 3), np.float32), chosen[shown[hit]]

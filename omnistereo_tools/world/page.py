@@ -117,12 +117,14 @@ def world_page(
 
 
 def panorama_with_far(view: PageView, farthest: float) -> NDArray[np.uint8]:
-    """Return a panorama as RGBA: half transparent where there is something within the range, so
-    that a browser that multiplies by it loses one bit.
+    """Return a panorama as RGBA, to be seen behind the surface: opaque beyond the range, and less
+    so from there to half the range, where surfaces may be missing.
+
+    It is half transparent at most, so that a browser that multiplies by it loses one bit.
     """
-    far = (view.refined < 1 / farthest).astype(np.float32)
-    alpha = 128 + 127 * cv2.resize(far, view.panorama.shape[1::-1])
-    return np.dstack([view.panorama, alpha.astype(np.uint8)])
+    far = (2 - farthest * view.refined).clip(0, 1)
+    alpha = cv2.blur(cv2.resize(far, view.panorama.shape[1::-1]), (9, 9))
+    return np.dstack([view.panorama, 128 + 8 * (15 * alpha).astype(np.uint8)])
 
 
 def _coarser(surface: Surface) -> Surface:

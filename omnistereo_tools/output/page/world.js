@@ -57,7 +57,7 @@ const SKY = {
       vec3 d = turn * (vec3((gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1), 1) * axes);
       vec2 at = vec2(atan(d.x, d.z) / 6.283185307 + 0.5, (atan(d.y, length(d.xz)) - phi.x) / (phi.y - phi.x));
       vec4 seen = textureLod(picture, at, 0.0);
-      float shown = smoothstep(0.7, 0.9, seen.a) * smoothstep(-0.3, 0.1, at.y);
+      float shown = clamp(2.125 * seen.a - 1.067, 0.0, 1.0) * smoothstep(-0.3, 0.1, at.y);
       color = vec4(mix(vec3(0.125), pow(seen.rgb, vec3(0.8)), shown), 1);
     }`,
 };
