@@ -20,7 +20,7 @@ from omnistereo_lib.geometry.trajectory import read_trajectory
 from omnistereo_tools.output.mesh_export import import_trimesh
 from omnistereo_tools.world.build import RecordedFrames
 from omnistereo_tools.world.fusion import View, Volume, touched_blocks
-from omnistereo_tools.world.surface import extract_surface
+from omnistereo_tools.world.surface import extract_surface, seen_surface
 from workshop.render.city.layout import plan_district
 from workshop.render.city.traffic import Traffic
 from workshop.render.image_sets import SEED, SETS, true_poses
@@ -118,7 +118,8 @@ def _mesh_f(
     volume = Volume(keys, voxel, reach, 1)
     for view in views:
         volume.integrate(view, grid)
-    exact = extract_surface(volume).vertices.astype(np.float64)
+    seen = ((view.T_world_rig, view.inverse_depth) for view in views)
+    exact = seen_surface(extract_surface(volume), seen, grid).vertices.astype(np.float64)
     mesh = import_trimesh().load(world / "mesh.ply", process=False)
     scores = f_scores(_laid_on(list(found.values()), list(true.values())) @ mesh.vertices, exact)
     return {f"F at {100 * d:.0f} cm": score for d, score in zip(_WITHIN_M, scores, strict=True)}
