@@ -109,8 +109,10 @@ class Rig:
         T_cam_rig = self.T_rig_cam[camera].inverse()
         turned, d = rays @ T_cam_rig.R.T, np.maximum(inverse_depth, D0)
         # Side by side in memory: NumPy is slow across a last axis of 3.
-        sides = [turned[..., k] + d * T_cam_rig.t[k] for k in range(3)]
-        return np.moveaxis(np.stack(sides), 0, -1)
+        sides = np.empty((3, *np.broadcast_shapes(turned.shape[:-1], d.shape)))
+        for k, side in enumerate(sides):
+            np.add(turned[..., k], d * T_cam_rig.t[k], out=side)
+        return np.moveaxis(sides, 0, -1)
 
     def sees(self, rays: NDArray[np.float64], inverse_depth: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Return which cameras see the points of rays at inverse depths in 1/m: (cameras, ...)."""
