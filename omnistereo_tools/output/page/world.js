@@ -330,7 +330,8 @@ canvas.addEventListener("keydown", e => {
 (async () => {
   $("title").textContent = D.title;
   $("words").textContent = D.words;
-  $("told").textContent = `Drag to look around, ${PRESS === "Tap" ? "" : "wheel or "}pinch to come closer. ${PRESS} a place to measure.`;
+  $("told").textContent = "One moment: the surface is being unpacked.";
+  showFrame(D.views[0]);
   const gl = canvas.getContext("webgl2", { alpha: false });
   if (!gl) {
     $("title").textContent = "This browser has no WebGL 2, which the surface needs. mesh.glb, beside this page, opens in other programs.";
@@ -340,6 +341,7 @@ canvas.addEventListener("keydown", e => {
   surface = await makeDraw(gl);
   $("along").max = along.at(-1);
   makePlan();
+  $("told").textContent = `Drag to look around, ${PRESS === "Tap" ? "" : "wheel or "}pinch to come closer. ${PRESS} a place to measure.`;
   new ResizeObserver(() => {
     const density = Math.min(devicePixelRatio, 2);
     [canvas.width, canvas.height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * density)));
