@@ -58,8 +58,8 @@ def seen_surface(
 
     Between what is free in front of an edge and what is hidden behind it, distances change sign
     where no frame has seen anything. Arguments as of `choose_views`. On the drive and on 5 frames
-    of the training drive (320 x 80, VolumeNet) 57 and 3 % of what is over 1 m from the truth goes,
-    and .6 and .1 % of what was found within 30 cm of it.
+    of the training drive (320 x 80, VolumeNet) 57 and 3 % of what is over 1 m from the truth goes;
+    82 and 68 % of the truth still have a surface within 30 cm, .8 and .1 less.
     """
     unseen = np.arange(len(surface.faces))
     for view in views:
