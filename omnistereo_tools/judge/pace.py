@@ -18,29 +18,35 @@ from omnistereo_tools.progress import say
 # two cores.
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
-# Peak memory of `depth`, measured at 320 to 2400 columns and kept within a tenth: GiB at least, for
-# the U-net, whose volumes do not grow; and GiB and bytes for each cell, for the cost volume.
-_LEAST_GIB, _GIB, _CELL_BYTES = 0.92, 0.64, 4.9
+# Peak memory of `depth`: GiB at least, for the U-net, whose volumes do not grow; and GiB, bytes for
+# each ray, and bytes for each cell of the cost volume, of which VolumeNet holds some rows. Fitted
+# to four cameras at 640 and 2400 columns.
+_MEMORY = {"volumenet": (0.87, 0.64, 500.0, 0.0), "zncc+sgm": (0.0, 0.82, 480.0, 8.0)}
 _FEW_FRAMES, _SOON_S = 10, 60.0  # are soon done: no other method is timed
 _LIVE_S = 1 / 1.5  # of a frame that is watched
 _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:
-    """Say how long a frame will take on the processor, and by VolumeNet how much memory.
+    """Say how long a frame will take on the processor, and how much memory.
 
-    On another device, and by a method that was not measured, say only by which method.
+    On another device, and by a method that was not measured, say only by which method; the memory
+    of those that are not in `_MEMORY` is not said.
     """
     seconds = _SECONDS.get(Method.parse(method).cost)
     kind = select_device(device).type if device == "auto" else device
     if seconds is None or kind != "cpu":
         say(f"method: {method} on {kind}")
         return
-    cells = grid.width * grid.height * grid.num_spheres
+    rays = grid.width * grid.height
+    cells = rays * grid.num_spheres
     total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
     precision = f" in {choose_precision('auto', kind)}" if Method.parse(method).has_weights else ""
-    peak = max(_LEAST_GIB, _GIB + _CELL_BYTES * cells / 2**30)
-    memory = f" and {peak:.1f} GiB" if Method.parse(method).cost == "volumenet" else ""
+    memory = ""
+    if fitted := _MEMORY.get(Method.parse(method).base):
+        least, constant, of_ray, of_cell = fitted
+        peak = max(least, constant + (of_ray * rays + of_cell * cells) / 2**30)
+        memory = f" and {peak:.1f} GiB"
     say(f"{method} takes about {in_words(total)}{memory}{precision}")
 
 

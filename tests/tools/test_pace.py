@@ -28,14 +28,15 @@ def test_durations_in_words(seconds, words):
 
 def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     for spheres in (192, 960):
-        say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
+        for method in ("volumenet", "zncc+sgm"):
+            say_frame(method, osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
+    say_frame("volumenet", osl.SphereGrid(2400, 1200), "cpu")
     say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
-    first, second, third = capsys.readouterr().err.splitlines()
-    assert first.startswith("volumenet takes about ")
-    assert " and 0.9 GiB" in first
-    assert " and 1.1 GiB" in second
-    assert first != second
-    assert third == "method: volumenet on cuda"
+    first, smooth, second, much, large, other = capsys.readouterr().err.splitlines()
+    assert first.startswith("volumenet takes about ") and first != second
+    assert " and 0.9 GiB" in first and " and 0.9 GiB" in second and " and 2.0 GiB" in large
+    assert smooth.endswith(" and 1.0 GiB") and much.endswith(" and 1.6 GiB")
+    assert other == "method: volumenet on cuda"
 
 
 @pytest.mark.parametrize("watched", [True, False], ids=["terminal", "log"])
