@@ -64,8 +64,8 @@ def _nearest_unseen(sweep: SphereSweep) -> NDArray[np.float64]:
     grid, spheres = sweep.grid, np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT)
     depths = grid.index_to_inverse_depth(spheres)[:, None, None]
     # Some rows at a time, which stay in the cache of a core.
-    seen = [sweep.rig.sees(rows, depths).sum(0) for rows in np.array_split(grid.rays(), _PARTS)]
-    return np.where(np.hstack(seen) < 2, spheres[:, None, None], -1.0).max(0)
+    parts = (sweep.rig.sees(rows, depths).sum(0) for rows in np.array_split(grid.rays(), _PARTS))
+    return np.vstack([np.where(seen < 2, spheres[:, None, None], -1.0).max(0) for seen in parts])
 
 
 def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
