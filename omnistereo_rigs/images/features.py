@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -66,15 +67,17 @@ class FeatureFinder:
         self.focal = np.degrees(resolution)  # pixels
         self.middle = np.ceil(self.focal * np.tan(np.radians(_HALF_VIEW_DEG)))
         pixels = np.stack(np.meshgrid(*[np.arange(2 * self.middle + 1)] * 2), -1)
+        rays = np.moveaxis(self._rays(pixels, np.eye(3)), -1, 0)  # (3, h, w), axes of a view
         axes = _sphere_directions(_VIEWS)
         # rotation view → camera, pixels in the image, where they are valid and no view sees better
         self.views = []
         for axis in axes:
             R = _rotation_to(axis)
-            rays = self._rays(pixels, R)
-            uv, valid = camera.project(rays)
+            uv, valid = camera.project(np.moveaxis(np.tensordot(R, rays, 1), 0, -1))
             if valid.mean() > 0.02:
-                nearest = (rays @ axis >= (rays @ axes.T).max(axis=-1) - 1e-12).astype(np.uint8)
+                # Only views whose axes are less than twice 28° away have a border with it.
+                rivals = axes[axes @ axis > np.cos(np.radians(57))] - axis
+                nearest = (np.tensordot(rivals @ R, rays, 1).max(0) <= 1e-12).astype(np.uint8)
                 # no edge of the image
                 inside = cv2.erode(valid.astype(np.uint8), np.ones((9, 9)), borderValue=0)
                 if (inside & nearest).any():
@@ -180,11 +183,7 @@ def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -
     chords = 2 * np.sin(np.radians(gates_deg) / 2)
     near = cKDTree(b.rays).query_ball_point(predicted, chords)
     i = np.repeat(np.arange(len(near)), [len(one) for one in near])
-    j = (
-        np.concatenate([np.asarray(one, np.int64) for one in near])
-        if len(i)
-        else np.zeros(0, np.int64)
-    )
+    j = np.fromiter(chain.from_iterable(near), np.int64, len(i))
     cosine = np.einsum("kd,kd->k", a.descriptors[i], b.descriptors[j])
     distance = np.sqrt(np.maximum(2 - 2 * cosine, 0))
     # The best of each feature of a, and the second best somewhere else.
