@@ -222,10 +222,10 @@ def _gates(T: Pose, a: _End, center: Floats, gate_deg: float) -> tuple[Floats, F
 
 
 class _Motion(NamedTuple):
-    """A pose that is tried, unchecked."""
+    """Poses that are tried, unchecked; what follows from them is (K, M, …)."""
 
-    R: Floats
-    t: Floats
+    R: Floats  # (K, 3, 3)
+    t: Floats  # (K, 1, 3)
 
 
 def _predict(T: Pose | _Motion, a: _End, center: Floats) -> tuple[Floats, Floats]:
@@ -239,10 +239,10 @@ def _predict(T: Pose | _Motion, a: _End, center: Floats) -> tuple[Floats, Floats
 
 def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
     """Return where b sees points, (M, 2) on its rays' tangents, and the derivatives (M, 2, 3)."""
-    length = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
+    length = np.maximum(np.linalg.norm(toward, axis=-1), 1e-12)[..., None]
     seen = toward / length
-    offset = (b.basis @ seen[:, :, None])[:, :, 0]
-    return offset, (b.basis - offset[:, :, None] * seen[:, None]) / length[:, :, None]
+    offset = (b.basis @ seen[..., None])[..., 0]
+    return offset, (b.basis - offset[..., None] * seen[..., None, :]) / length[..., None]
 
 
 def _residuals(T: Pose | _Motion, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
@@ -254,15 +254,17 @@ def _residuals(T: Pose | _Motion, a: _End, b: _End) -> tuple[Floats, Floats, _En
     """
     toward, by_inverse = _predict(T, a, b.center)
     offset, d_seen = _seen(toward, b)
-    line = np.einsum("mki,mi->mk", d_seen, by_inverse) * a.sd[:, None]
-    variance = (line**2).sum(axis=1)
+    line = np.einsum("...ki,...i->...k", d_seen, by_inverse) * a.sd[:, None]
+    variance = (line**2).sum(axis=-1)
     shrink = (1 / np.sqrt(1 + variance / _ANGLE_SD**2) - 1) / np.maximum(variance, 1e-20)
-    whiten = (np.eye(2) + shrink[:, None, None] * line[:, :, None] * line[:, None]) / _ANGLE_SD
-    along = (line * offset).sum(axis=1) / (variance + _ANGLE_SD**2)
+    outer = shrink[..., None, None] * line[..., None] * line[..., None, :]
+    whiten = (np.eye(2) + outer) / _ANGLE_SD
+    along = (line * offset).sum(axis=-1) / (variance + _ANGLE_SD**2)
     inverse = np.maximum(a.inverse - a.sd * along.clip(-_INLIER, _INLIER), _FARTHEST)
-    residuals = np.einsum("mkj,mj->mk", whiten, offset)
+    residuals = np.einsum("...kj,...j->...k", whiten, offset)
     # Behind, where the tangents do not tell.
-    residuals[np.einsum("mi,mi->m", toward, b.ray) < 0.2 * np.linalg.norm(toward, axis=1)] = 1e3
+    ahead = np.einsum("...i,...i->...", toward, b.ray)
+    residuals[ahead < 0.2 * np.linalg.norm(toward, axis=-1)] = 1e3
     return residuals, whiten, replace(a, inverse=inverse)
 
 
@@ -274,11 +276,11 @@ def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
     """
     residuals, whiten, fitted = _residuals(T, a, b)
     toward, _ = _predict(T, fitted, b.center)
-    # By the step, (M, 3, 6): T becomes T Exp(rotation, shift).
+    # By the step: T becomes T Exp(rotation, shift).
     q = fitted.inverse[:, None]
     from_rig = (q * (fitted.center - T.t) + fitted.ray) @ T.R
-    by_step = np.concatenate([cross(from_rig), -q[:, :, None] * np.eye(3)], axis=2)
-    return residuals, whiten @ _seen(toward, b)[1] @ by_step
+    by_point = whiten @ _seen(toward, b)[1]
+    return residuals, np.concatenate([by_point @ cross(from_rig), -q[:, None] * by_point], axis=2)
 
 
 def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
@@ -328,12 +330,10 @@ def _search(matches: _Matches) -> Pose:
     x, y = points[triples], other[triples]
     to, of = x.mean(axis=1), y.mean(axis=1)
     turns = nearest_rotation(np.swapaxes(x - to[:, None], 1, 2) @ (y - of[:, None]))
-    tried: list[tuple[float, int, _Motion]] = []
-    for k, (R, p, q) in enumerate(zip(turns, to, of, strict=True)):
-        T = _Motion(R, p - R @ q)
-        squares = (_residuals(T, *judging)[0] ** 2).sum(axis=1) / 10.0**2
-        tried.append((float((squares / (1 + squares)).mean()), k, T))
-    best = (_solve(Pose(*T), judging, (30.0, 10.0)) for _, _, T in sorted(tried)[:_KEPT])
+    shifts = np.stack([p - R @ q for R, p, q in zip(turns, to, of, strict=True)])
+    squares = (_residuals(_Motion(turns, shifts[:, None]), *judging)[0] ** 2).sum(axis=-1) / 10.0**2
+    tried = np.argsort((squares / (1 + squares)).mean(axis=1), kind="stable")[:_KEPT]
+    best = (_solve(Pose(turns[k], shifts[k]), judging, (30.0, 10.0)) for k in tried)
     return min(best, key=lambda found: found[1])[0]
 
 
