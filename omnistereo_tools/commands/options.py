@@ -186,9 +186,8 @@ def read_rig_and_clocks(
 
     file = options.rig or SAMPLE
     read = formats.read_rig(file)
-    # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
-    from omnistereo_tools.output.summary import turn_sentence
+    from omnistereo_tools.judge.coverage import turn_sentence
     from omnistereo_tools.progress import say
 
     if not read.is_own:

@@ -84,7 +84,7 @@ def run(options: RigFileOptions) -> None:
 
 def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
     """Return what was assumed: format and unit, lenses, field of view, turn."""
-    from omnistereo_tools.output.summary import turn_sentence
+    from omnistereo_tools.judge.coverage import turn_sentence
 
     rig = read.rig
     found = read.found

@@ -27,6 +27,16 @@ _SPHERES = (32, 256)
 _ANY_ROWS = (-45.0, 45.0)  # degrees, where no row has depth all around
 
 
+def turn_sentence(rig: Rig) -> str | None:
+    """Return by how much a rig was turned from the frame of its file, or None if it was not."""
+    degrees = 0.0 if rig.T_rig_file is None else rig.T_rig_file.magnitude()[0]
+    return (
+        f"The rig was turned level, by {degrees:.0f}° (`omnistereo rig --keep-frame` leaves it)."
+        if degrees > 1e-6
+        else None
+    )
+
+
 @dataclass(frozen=True)
 class Coverage:
     """What the cameras of a rig see on a panorama of the whole sphere, of things far away."""

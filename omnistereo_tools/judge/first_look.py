@@ -4,25 +4,24 @@ near things are.
 Poses in a wrong unit, one image twice or swapped images compute as well, but mean nothing.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.methods import VIDEO_METHOD
-from omnistereo_lib.stereo.pipeline import estimate_depth
-from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.volume import cost_volume
-from omnistereo_lib.stereo.zncc import ZNCC
 from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.judge.coverage import Coverage
+
+if TYPE_CHECKING:
+    from omnistereo_lib.stereo.sweep import SphereSweep
 
 _TOGETHER = 1e-3  # m
 _FAR_APART = 100.0  # m
@@ -96,14 +95,19 @@ def lowest_costs(
 
     The images are reduced as suits the grid. A sweep of that rig and grid may lend its tables.
     """
+    # These load torch, which takes a second that what needs no cost volume does not wait.
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_lib.stereo.volume import cost_volume
+    from omnistereo_lib.stereo.zncc import ZNCC
+
     small = frame.reduced(grid.width / 360)
     sweep = sweep or SphereSweep(small.rig, grid)
     valid = sweep.rig.sees(grid.rays(), 1 / grid.max_depth)
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
         return np.full((grid.height, grid.width), np.nan, np.float32)
     volume = cost_volume(sweep, small, ZNCC(_WINDOW))
-    lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
-    return torch.where(lowest.isfinite(), lowest, torch.nan).numpy()
+    lowest = volume.nan_to_num(np.inf).amin(-1).numpy()
+    return np.where(np.isfinite(lowest), lowest, np.nan)
 
 
 def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
@@ -111,6 +115,8 @@ def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
     if doubt := picture_doubt(frame.images):
         yield doubt
         return
+    from omnistereo_lib.stereo.sweep import SphereSweep
+
     coarse = replace(grid, width=160, height=40, num_spheres=16)
     small = frame.reduced(coarse.width / 360)
     given = coarse, SphereSweep(small.rig, coarse)
@@ -139,6 +145,9 @@ def propose_min_depth(frame: Frame) -> float:
     of it, it is sharper. Both look around the horizon, where nothing is distorted; a floor that is
     nearer below is within the margin.
     """
+    from omnistereo_lib.stereo.methods import VIDEO_METHOD
+    from omnistereo_lib.stereo.pipeline import estimate_depth
+
     small = frame.reduced(320 / 360)
     nearest = Coverage.of(small.rig).nearest
     for _ in range(_PASSES):

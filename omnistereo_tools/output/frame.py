@@ -31,6 +31,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.learned import choose_precision
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
+from omnistereo_tools.judge.coverage import turn_sentence
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panoramas, estimate_gains
 from omnistereo_tools.output.colors import ColorScale
@@ -50,7 +51,6 @@ from omnistereo_tools.output.summary import (
     doubt_shares,
     error_sentences,
     fits,
-    turn_sentence,
 )
 from omnistereo_tools.output.viewer import WIDEST, viewer_page
 from omnistereo_tools.parser import is_own

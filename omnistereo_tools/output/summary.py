@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import may_be_nearer
@@ -21,16 +20,6 @@ _NEAR = 0.1  # of the rays
 _UNSEEN = 0.05  # of the rays: worth saying
 _NEARER = 0.9  # of a depth: worth saying
 _MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next frame
-
-
-def turn_sentence(rig: Rig) -> str | None:
-    """Return by how much a rig was turned from the frame of its file, or None if it was not."""
-    degrees = 0.0 if rig.T_rig_file is None else rig.T_rig_file.magnitude()[0]
-    return (
-        f"The rig was turned level, by {degrees:.0f}° (`omnistereo rig --keep-frame` leaves it)."
-        if degrees > 1e-6
-        else None
-    )
 
 
 def fits(doubtful_percent: float) -> bool:
