@@ -131,9 +131,8 @@ def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> Non
     from tqdm import tqdm
 
     missing = [number for number in numbers if not _is_done(folder, name, number, seed)]
-    with tqdm(
-        total=len(numbers), initial=len(numbers) - len(missing), desc=name, unit="frame"
-    ) as bar:
+    there = len(numbers) - len(missing)
+    with tqdm(total=len(numbers), initial=there, desc=name, unit="frame") as bar:
         for _ in _render_here(folder, name, numbers, seed):
             bar.update()
 
@@ -141,9 +140,9 @@ def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> Non
 def _is_done(folder: Path, name: str, number: int, seed: int) -> bool:
     if name in CAPTURES:
         return is_captured(folder, CAPTURES[name], number, seed)
-    return (
-        is_rendered(folder, number) if name in WORLDS else is_complete(folder, SETS[name], number)
-    )
+    if name in WORLDS:
+        return is_rendered(folder, number)
+    return is_complete(folder, SETS[name], number)
 
 
 def _render_here(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> Iterator[int]:

@@ -41,9 +41,7 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
     entries = []
     for number, capture in enumerate(plan_captures(captures, seed), start=captures.first):
         poses = capture.T_rig_board.items()
-        views = [
-            {"camera": c, "T_rig_board": pose.as_vector().round(6).tolist()} for c, pose in poses
-        ]
+        views = [{"camera": c, "T_rig_board": T.as_vector().round(6).tolist()} for c, T in poses]
         lines = ",\n   ".join(json.dumps(view, separators=(",", ":")) for view in views)
         known = f'"name": "{number:04d}", "mistake": {json.dumps(capture.mistake)}'
         entries.append(f'  {{{known}, "views": [\n   {lines}]}}')

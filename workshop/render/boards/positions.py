@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 from workshop.render.camera.lens import MAX_FOV_DEG, REFERENCE_HEIGHT, REFERENCE_WIDTH, Lens
 from workshop.render.camera.render_rig import RenderRig, RigCamera, make_rig
 
@@ -83,7 +83,7 @@ class Capture:
     """
 
     T_rig_board: dict[int, Pose]
-    sway: NDArray[np.float64]
+    sway: Floats
     mistake: str | None = None
 
     def pose(self, camera: int, moment: float) -> Pose:
@@ -91,13 +91,13 @@ class Capture:
         return self.T_rig_board[camera] @ _about_middle(moment * self.sway)
 
 
-def board_corners() -> NDArray[np.float64]:
+def board_corners() -> Floats:
     """Return the inner corners in the board's frame, (120, 3): row by row."""
     rows, columns = np.mgrid[:ROWS, :COLUMNS]
     return SQUARE * np.stack([columns, rows, 0 * rows], -1).reshape(-1, 3).astype(float)
 
 
-def _outline() -> NDArray[np.float64]:
+def _outline() -> Floats:
     """Return points all along the edge of the board."""
     low, high = -SQUARE - MARGIN, np.array([COLUMNS, ROWS]) * SQUARE + MARGIN
     steps = np.linspace(0, 1, 9)[:-1]
@@ -128,9 +128,7 @@ def project(lens: Lens, points: ArrayLike, width: int = REFERENCE_WIDTH) -> tupl
     return (uv + 0.5) * (width / REFERENCE_WIDTH) - 0.5, theta
 
 
-def true_corners(
-    camera: RigCamera, T_rig_board: Pose, width: int = REFERENCE_WIDTH
-) -> NDArray[np.float64]:
+def true_corners(camera: RigCamera, T_rig_board: Pose, width: int = REFERENCE_WIDTH) -> Floats:
     """Return where a camera sees the corners, shape (120, 2) in pixels; NaN outside its field."""
     uv, theta = project(camera.lens, camera.T_rig_cam.inverse() @ T_rig_board @ _CORNERS, width)
     return np.where((theta <= np.radians(MAX_FOV_DEG / 2))[:, None], uv, np.nan)
@@ -264,13 +262,12 @@ class _Planner:
             seen = all(sees(self.rig.cameras[c], board) for c in cameras)
             if seen and stands_clear(self.rig, board):
                 return board
-        raise OmnistereoError(
-            f"no board is in view of cameras {[c + 1 for c in cameras]}: another seed may do"
-        )
+        names = [c + 1 for c in cameras]
+        raise OmnistereoError(f"no board is in view of cameras {names}: another seed may do")
 
     # Mistakes
 
-    def _motion(self, metres: float, degrees: float) -> NDArray[np.float64]:
+    def _motion(self, metres: float, degrees: float) -> Floats:
         directions = self.rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.round((directions * [[np.radians(degrees)], [metres]]).ravel(), 6)
@@ -334,7 +331,7 @@ def _facing(center: NDArray, viewer: NDArray, roll: float, tilt: float, about: f
     return _rounded(Pose(R, center - R @ _MIDDLE))
 
 
-def _tilted(roll: float, tilt: float, about: float) -> NDArray[np.float64]:
+def _tilted(roll: float, tilt: float, about: float) -> Floats:
     axis = tilt * np.array([np.cos(about), np.sin(about), 0])
     return Pose.from_vector([*axis, 0, 0, 0]).R @ Pose.from_vector([0, 0, roll, 0, 0, 0]).R
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 # the sensor in pixels for which lens numbers are given
 REFERENCE_WIDTH, REFERENCE_HEIGHT = 800, 768
+_MIDDLE = (np.array([REFERENCE_WIDTH, REFERENCE_HEIGHT]) - 1) / 2
 SENSOR_MM = 36.0  # Blender's sensor width; any value would do
 MAX_FOV_DEG = 220.0
 # beyond the field of view, so that the last valid pixels still have neighbours
@@ -92,10 +93,7 @@ def random_lens(rng: np.random.Generator) -> Lens:
     linear = edge / focal
     cubic = 0.3325 + 3.8 * (1.9170 - linear)
     quartic = np.radians(MAX_FOV_DEG / 2) - linear - cubic
-    center = (
-        (REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 1.5),
-        (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.152),
-    )
+    center = tuple((_MIDDLE + rng.normal(0, (1.5, 1.152))).tolist())
     return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), center)
 
 
@@ -111,10 +109,7 @@ def random_fisheye(rng: np.random.Generator, fov_deg: float) -> Lens:
     linear = half * rng.uniform(0.9, 1.08)
     quartic = -rng.uniform(0.0, 0.35)
     cubic = half - linear - quartic
-    center = (
-        (REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 2.0),
-        (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.5),
-    )
+    center = tuple((_MIDDLE + rng.normal(0, (2.0, 1.5))).tolist())
     return Lens(
         (float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)),
         center,

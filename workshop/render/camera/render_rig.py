@@ -89,9 +89,8 @@ def random_rig(rng: np.random.Generator, min_depth: float) -> RenderRig:
         min_depth: Distance in metres from the rig centre that nothing comes nearer than.
     """
     count = int(rng.integers(3, 7))
-    baseline = (
-        min_depth * np.exp(rng.uniform(np.log(1 / 8), np.log(1 / 2))) * 2 * np.sin(np.pi / count)
-    )
+    share = np.exp(rng.uniform(np.log(1 / 8), np.log(1 / 2)))
+    baseline = min_depth * share * 2 * np.sin(np.pi / count)
     radius = np.clip(baseline, 0.055, 1.2) / (2 * np.sin(np.pi / count))
     fov_deg = rng.uniform(200 if count == 3 else 182, 218)
     lift = radius * rng.uniform(0.1, 0.5) * (rng.random() < 1 / 3)
@@ -172,11 +171,8 @@ def _with_digits(values: NDArray, digits: int) -> list[float]:
 
 
 def _numbers(values: NDArray | list) -> str:
-    return (
-        "["
-        + ", ".join(str(v) if isinstance(v, int) else _yaml_float(float(v)) for v in values)
-        + "]"
-    )
+    texts = (str(v) if isinstance(v, int) else _yaml_float(float(v)) for v in values)
+    return f"[{', '.join(texts)}]"
 
 
 def _yaml_float(value: float) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
+from omnistereo_lib.geometry.pose import Floats
 from workshop.render.camera.lens import Lens
 from workshop.render.camera.render_rig import Sensor
 
@@ -12,12 +14,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def develop(
-    radiance: NDArray,
-    lens: Lens,
-    sensor: Sensor,
-    exposure: float,
-    gray: bool,
-    rng: np.random.Generator,
+    radiance: NDArray, lens: Lens, sensor: Sensor, exposure: float, gray: bool, rng: Generator
 ) -> NDArray[np.uint8]:
     """Return the picture that a camera makes of linear radiance.
 
@@ -41,7 +38,7 @@ def develop(
     return np.round(255 * _tone(noisy)).astype(np.uint8)
 
 
-def _relative_radius(shape: tuple[int, int], lens: Lens) -> NDArray[np.float64]:
+def _relative_radius(shape: tuple[int, int], lens: Lens) -> Floats:
     """Return the distance of every pixel from the axis; 1 is the rim of the field of view."""
     height, width = shape
     scale = width / 800
@@ -50,7 +47,7 @@ def _relative_radius(shape: tuple[int, int], lens: Lens) -> NDArray[np.float64]:
     return np.hypot(columns - u, rows - v) / (lens.radius(np.radians(lens.max_fov_deg / 2)) * scale)
 
 
-def _tone(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tone(signal: Floats) -> Floats:
     """Return display values in [0, 1]: Narkowicz' fit of ACES, then the sRGB curve."""
     x = np.clip(signal, 0, None)
     film = np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1)

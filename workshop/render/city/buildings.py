@@ -6,13 +6,14 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 
 from workshop.render.city.facades import PALETTES, Style, facade, party_wall, random_style
 from workshop.render.city.layout import KERB_HEIGHT, Lot, Rectangle
 from workshop.render.surfaces.mesh_builder import Mesh, points
 
 
-def build(lot: Lot, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float, float]]:
+def build(lot: Lot, rng: Generator) -> tuple[Mesh, tuple[float, float, float]]:
     """Return a building as a mesh in world coordinates, and its colour."""
     style, mesh = random_style(rng), Mesh()
     palette = PALETTES[style.wall]
@@ -35,13 +36,7 @@ def build(lot: Lot, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float,
 
 
 def _storeys(
-    mesh: Mesh,
-    body: Rectangle,
-    lot: Lot,
-    style: Style,
-    rng: np.random.Generator,
-    base: float,
-    height: float,
+    mesh: Mesh, body: Rectangle, lot: Lot, style: Style, rng: Generator, base: float, height: float
 ) -> None:
     for side, (start, along, length) in enumerate(body.sides()):
         mesh.place((*start, base), (*along, 0), (along[1], -along[0], 0))
@@ -55,9 +50,7 @@ def _storeys(
     mesh.add(points(x, y, base + height), "roof")
 
 
-def _set_back(
-    mesh: Mesh, upper: Rectangle, style: Style, rng: np.random.Generator, base: float
-) -> float:
+def _set_back(mesh: Mesh, upper: Rectangle, style: Style, rng: Generator, base: float) -> float:
     floors = int(rng.integers(2, 5))
     plain = replace(style, floors=floors, ground_height=style.floor_height)
     plain = replace(plain, balconies="none", shops=False, gable=False)
@@ -66,7 +59,7 @@ def _set_back(
     return base + plain.height
 
 
-def _flat_roof(mesh: Mesh, body: Rectangle, z: float, rng: np.random.Generator) -> None:
+def _flat_roof(mesh: Mesh, body: Rectangle, z: float, rng: Generator) -> None:
     """Add a parapet, a stair head, boxes, a tank, aerials."""
     for start, along, length in body.sides():
         mesh.place((*start, z), (*along, 0), (along[1], -along[0], 0))

@@ -8,6 +8,7 @@ from functools import cache
 
 import bpy
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from workshop.render.surfaces.mesh_builder import Mesh, points
@@ -65,7 +66,7 @@ class Style:
         return self.ground_height + (self.floors - 1) * self.floor_height
 
 
-def random_style(rng: np.random.Generator) -> Style:
+def random_style(rng: Generator) -> Style:
     """Draw a style: mostly four to six floors of brick, plaster or stone, some towers."""
     tall = rng.random() < 0.22
     floors = int(rng.integers(7, 14)) if tall else int(rng.integers(2, 7))
@@ -97,9 +98,7 @@ def party_wall(style: Style) -> str:
     return "concrete" if thin else style.wall
 
 
-def facade(
-    mesh: Mesh, length: float, style: Style, rng: np.random.Generator, on_street: bool
-) -> None:
+def facade(mesh: Mesh, length: float, style: Style, rng: Generator, on_street: bool) -> None:
     """Add one façade in the mesh's frame: x along the wall, y outwards, z up from the pavement."""
     if style.wall == "curtain_wall":
         _glass_front(mesh, length, style, rng)
@@ -116,9 +115,7 @@ def _columns(length: float, bay: float) -> NDArray[np.float64]:
     return (np.arange(count) + 0.5) * (length / count)
 
 
-def _windows(
-    mesh: Mesh, length: float, style: Style, rng: np.random.Generator, first_floor: int
-) -> None:
+def _windows(mesh: Mesh, length: float, style: Style, rng: Generator, first_floor: int) -> None:
     """Fill the wall around openings: piers, spandrels between floors, panes inside."""
     centers = _columns(length, style.bay)
     half = min(style.window_width, length / len(centers) - 0.3) / 2
@@ -152,7 +149,7 @@ def openings(
     z1: NDArray,
     recess: float,
     wall: str,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill."""
     corner = {c: points((s0, s1)[c & 1], -recess, (z0, z1)[c >> 1]) for c in range(4)}
@@ -177,12 +174,7 @@ def openings(
 
 
 def _balconies(
-    mesh: Mesh,
-    centers: NDArray,
-    half: float,
-    floors: NDArray,
-    style: Style,
-    rng: np.random.Generator,
+    mesh: Mesh, centers: NDArray, half: float, floors: NDArray, style: Style, rng: Generator
 ) -> None:
     chosen = centers[rng.random(len(centers)) < 0.45]
     for s in chosen:
@@ -209,15 +201,13 @@ def _railing(mesh: Mesh, s0: float, s1: float, deep: float, z: float) -> None:
     mesh.box((*rails[0], z + 0.88), (*rails[1], z + 0.93), "dark_trim")
 
 
-def _flowers(
-    mesh: Mesh, s0: float, s1: float, deep: float, z: float, rng: np.random.Generator
-) -> None:
+def _flowers(mesh: Mesh, s0: float, s1: float, deep: float, z: float, rng: Generator) -> None:
     n = int(40 * (s1 - s0))
     center = points(rng.uniform(s0, s1, n), rng.normal(deep, 0.06, n), z + rng.uniform(0, 0.22, n))
     mesh.add(center[:, None] + rng.normal(0, 0.05, (n, 4, 3)), "leaf", rng.random(n))
 
 
-def _ornaments(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
+def _ornaments(mesh: Mesh, length: float, style: Style, rng: Generator) -> None:
     """Add a cornice, string courses, a drain pipe, a few air conditioners."""
     top = style.height
     mesh.box((0, 0, top - 0.5), (length, 0.12, top - 0.22), "trim")
@@ -235,7 +225,7 @@ def _ornaments(mesh: Mesh, length: float, style: Style, rng: np.random.Generator
             mesh.box((s - 0.4, 0.02, z + 0.02), (s + 0.4, 0.38, z + 0.55), "metal")
 
 
-def _glass_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
+def _glass_front(mesh: Mesh, length: float, style: Style, rng: Generator) -> None:
     """Add a curtain wall: panes between mullions and transoms."""
     count = max(2, round(length / 1.5))
     s = np.linspace(0, length, count + 1)
@@ -251,7 +241,7 @@ def _glass_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generat
     mesh.box((0, 0, rows - 0.04), (length, 0.08, rows + 0.04), "metal")
 
 
-def _shop_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
+def _shop_front(mesh: Mesh, length: float, style: Style, rng: Generator) -> None:
     """Add shops along the ground floor: pillars, glass, door, sign, perhaps an awning."""
     count = max(1, round(length / 6.5))
     edges = np.linspace(0, length, count + 1)
@@ -276,9 +266,7 @@ def _shop_front(mesh: Mesh, length: float, style: Style, rng: np.random.Generato
             _awning(mesh, s0, s1, board, rng)
 
 
-def _sign_board(
-    mesh: Mesh, s0: float, s1: float, z0: float, z1: float, rng: np.random.Generator
-) -> None:
+def _sign_board(mesh: Mesh, s0: float, s1: float, z0: float, z1: float, rng: Generator) -> None:
     board = str(rng.choice(["sign_red", "sign_blue", "green_paint", "dark_trim", "wood", "tinted"]))
     mesh.box((s0 + 0.1, 0.0, z0 + 0.03), (s1 - 0.1, 0.12, z1), board)
     triangles, width = letters(str(rng.choice(_WORDS)))
@@ -288,7 +276,7 @@ def _sign_board(
     mesh.add(points(x, y, (z0 + z1) / 2 - 0.33 * size + z), "white")
 
 
-def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: np.random.Generator) -> None:
+def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: Generator) -> None:
     deep, drop = rng.uniform(0.8, 1.3), rng.uniform(0.35, 0.55)
     edges = np.arange(s0, s1, 0.3)
     for k, (a, b) in enumerate(itertools.pairwise(edges)):
@@ -298,7 +286,7 @@ def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: np.random.Generator
         mesh.add(points(across, deep, (edge, edge, hem, hem)), material)
 
 
-def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
+def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: Generator) -> None:
     """Add a ground floor with windows, a door with steps, and a plinth."""
     centers = _columns(length, style.bay)
     half = min(style.window_width, length / len(centers) - 0.3) / 2

@@ -59,12 +59,8 @@ class Rectangle:
         arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         turn = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row vectors: a quarter turn counter-clockwise
         inner = self.inset(radius)
-        corners = [
-            (inner.x1, inner.y1),
-            (inner.x0, inner.y1),
-            (inner.x0, inner.y0),
-            (inner.x1, inner.y0),
-        ]
+        x0, y0, x1, y1 = inner.x0, inner.y0, inner.x1, inner.y1
+        corners = [(x1, y1), (x0, y1), (x0, y0), (x1, y0)]
         return np.concatenate(
             [corner + arc @ np.linalg.matrix_power(turn, i) for i, corner in enumerate(corners)]
         )

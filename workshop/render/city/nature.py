@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from workshop.render.surfaces.mesh_builder import Mesh, points
 
 
-def tree(rng: np.random.Generator, height: float, crown: float) -> Mesh:
+def tree(rng: Generator, height: float, crown: float) -> Mesh:
     """Return a tree `height` metres tall, its crown within `crown` metres of the trunk."""
     mesh, fork = Mesh(), 0.42 * height
     up = (-0.1, 0.5 * fork, fork, 0.75 * height)
@@ -31,9 +32,7 @@ def tree(rng: np.random.Generator, height: float, crown: float) -> Mesh:
     return mesh
 
 
-def _foliage(
-    mesh: Mesh, center: NDArray, radii: NDArray, count: int, rng: np.random.Generator
-) -> None:
+def _foliage(mesh: Mesh, center: NDArray, radii: NDArray, count: int, rng: Generator) -> None:
     """Scatter leaves through an ellipsoid, denser towards its skin."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -48,7 +47,7 @@ def _foliage(
     mesh.add(np.stack([at - a, at + b * 0.8, at + a, at - b * 0.8], axis=1), "leaf", shine)
 
 
-def hedge(length: float, rng: np.random.Generator) -> Mesh:
+def hedge(length: float, rng: Generator) -> Mesh:
     """Return a clipped hedge along x, 1.1 m high."""
     mesh, n = Mesh(), int(700 * length)
     mesh.box((0, -0.22, 0), (length, 0.22, 0.95), "soil")
@@ -59,7 +58,7 @@ def hedge(length: float, rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def person(rng: np.random.Generator, walking: bool) -> Mesh:
+def person(rng: Generator, walking: bool) -> Mesh:
     """Return somebody between 1.55 and 1.9 m tall, standing or in mid-stride along +x."""
     mesh, h = Mesh(), rng.uniform(1.55, 1.9)
     stride = 0.17 * h if walking else 0.02

@@ -266,12 +266,6 @@ def parking_slots(start: float, end: float) -> NDArray[np.float64]:
     return (bays[:-1] + bays[1:]) / 2 + 0.05
 
 
-MODELS = {
-    "lamp": lamp_post,
-    "light": traffic_light,
-    "bench": bench,
-    "bin": bin_,
-    "hydrant": hydrant,
-}
-MODELS |= {"bollard": bollard, "bicycle": bicycle, "kiosk": kiosk, "pole": utility_pole}
-MODELS |= {"shelter": bus_shelter}
+MODELS = {"lamp": lamp_post, "light": traffic_light, "bench": bench, "bin": bin_}
+MODELS |= {"hydrant": hydrant, "bollard": bollard, "bicycle": bicycle, "kiosk": kiosk}
+MODELS |= {"pole": utility_pole, "shelter": bus_shelter}

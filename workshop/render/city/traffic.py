@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.geometry.pose import Floats
 from workshop.render.city import vehicles
 from workshop.render.city.layout import HALF_STREET, LANE, District
 
@@ -54,9 +55,7 @@ class Traffic:
         return [(*item.location[:2], item.rotation_euler[2], length) for item, length in cars]
 
 
-def lane_point(
-    along_x: bool, line: float, sign: int, along: float
-) -> tuple[NDArray[np.float64], float]:
+def lane_point(along_x: bool, line: float, sign: int, along: float) -> tuple[Floats, float]:
     """Return the middle of the right-hand lane, shape (2,), and its heading."""
     if along_x:
         return np.array([along, line - sign * LANE]), 0.0 if sign > 0 else np.pi

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from workshop.render.surfaces.mesh_builder import Mesh, points
@@ -24,7 +25,7 @@ def cushion(mesh: Mesh, at: ArrayLike, size: ArrayLike, material: str, value: fl
     mesh.sheet(np.asarray(at) + unit * np.asarray(size) / 2, material, value)
 
 
-def bookcase(rng: np.random.Generator, width: float, height: float) -> Mesh:
+def bookcase(rng: Generator, width: float, height: float) -> Mesh:
     """Return open shelves along y, 0.3 m deep, with books and a few other things."""
     mesh, shelves = Mesh(), np.linspace(0.08, height - 0.03, round(height / 0.35) + 1)
     mesh.box((0, 0, 0), (0.012, width, height), "oak", 0.2)
@@ -36,9 +37,7 @@ def bookcase(rng: np.random.Generator, width: float, height: float) -> Mesh:
     return mesh
 
 
-def _row_of_books(
-    mesh: Mesh, rng: np.random.Generator, y: float, end: float, z: float, room: float
-) -> None:
+def _row_of_books(mesh: Mesh, rng: Generator, y: float, end: float, z: float, room: float) -> None:
     while y < end - 0.06:
         kind = rng.random()
         if kind < 0.045 and y < end - 0.26:
@@ -57,7 +56,7 @@ def _row_of_books(
             y += thick + 0.001
 
 
-def _pile(mesh: Mesh, rng: np.random.Generator, at: ArrayLike, count: int) -> None:
+def _pile(mesh: Mesh, rng: Generator, at: ArrayLike, count: int) -> None:
     x, y, z = at
     for _ in range(count):
         thick = rng.uniform(0.015, 0.04)
@@ -67,7 +66,7 @@ def _pile(mesh: Mesh, rng: np.random.Generator, at: ArrayLike, count: int) -> No
         z += thick
 
 
-def table(rng: np.random.Generator, length: float = 1.5) -> Mesh:
+def table(rng: Generator, length: float = 1.5) -> Mesh:
     """Return a dining table along y around the origin, laid with what a day leaves on it."""
     mesh, half, height = Mesh(), np.array([0.85, length]) / 2, 0.74
     mesh.box((*-half, height - 0.035), (*half, height), "oak", 0.8)
@@ -88,7 +87,7 @@ def table(rng: np.random.Generator, length: float = 1.5) -> Mesh:
     return mesh
 
 
-def _fruit_bowl(mesh: Mesh, rng: np.random.Generator, at: ArrayLike) -> None:
+def _fruit_bowl(mesh: Mesh, rng: Generator, at: ArrayLike) -> None:
     outside = (0.05, 0.0), (0.06, 0.01), (0.13, 0.05), (0.16, 0.09)
     inside = (0.15, 0.09), (0.1, 0.04), (0.0, 0.03)
     mesh.sheet(np.asarray(at) + _turned(*outside, *inside), "glaze", 0.55)
@@ -121,7 +120,7 @@ def chair() -> Mesh:
     return mesh
 
 
-def sofa(rng: np.random.Generator, width: float = 2.0) -> Mesh:
+def sofa(rng: Generator, width: float = 2.0) -> Mesh:
     """Return a sofa along y whose back is at x = 0, with loose cushions and a folded blanket."""
     mesh, deep, seats = Mesh(), 0.9, 3
     mesh.box((0.08, 0.06, 0.0), (0.84, width - 0.06, 0.1), "dark_trim")
@@ -143,7 +142,7 @@ def sofa(rng: np.random.Generator, width: float = 2.0) -> Mesh:
     return mesh
 
 
-def low_table(rng: np.random.Generator) -> Mesh:
+def low_table(rng: Generator) -> Mesh:
     """Return a round coffee table around the origin with magazines and a vase of twigs."""
     mesh = Mesh()
     top = _turned((0, 0.38), (0.4, 0.38), (0.41, 0.395), (0.4, 0.41), (0, 0.41))
@@ -165,15 +164,13 @@ def low_table(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def leaves(
-    mesh: Mesh, rng: np.random.Generator, center: ArrayLike, count: int, size: float
-) -> None:
+def leaves(mesh: Mesh, rng: Generator, center: ArrayLike, count: int, size: float) -> None:
     """Add small leaves around a point."""
     at = center + rng.normal(0, 1.6 * size, (count, 1, 3))
     mesh.add(at + rng.normal(0, size, (count, 4, 3)), "leaf", rng.random(count))
 
 
-def plant(rng: np.random.Generator, height: float) -> Mesh:
+def plant(rng: Generator, height: float) -> Mesh:
     """Return a pot plant around the origin: stems that arch out, each leaf folded along its rib."""
     mesh = Mesh()
     pot = _turned((0, 0.0), (0.13, 0), (0.18, 0.3), (0.19, 0.33), (0.165, 0.33), (0.16, 0.29))
@@ -230,7 +227,7 @@ def radiator(width: float) -> Mesh:
     return mesh
 
 
-def curtain(rng: np.random.Generator, width: float, height: float) -> Mesh:
+def curtain(rng: Generator, width: float, height: float) -> Mesh:
     """Return a gathered curtain along y whose hem hangs free."""
     y, z = np.linspace(0, width, 160), np.linspace(0, height, 12)[:, None]
     phase = np.cumsum(rng.uniform(0.7, 1.3, len(y))) * 2 * np.pi * width / 0.13 / len(y)
@@ -269,7 +266,7 @@ def clock() -> Mesh:
     return mesh
 
 
-def sideboard(rng: np.random.Generator, width: float = 1.7) -> Mesh:
+def sideboard(rng: Generator, width: float = 1.7) -> Mesh:
     """Return a low cupboard along y: television, loudspeakers, records, cables."""
     mesh, top = Mesh(), 0.55
     mesh.box((0, 0, 0.12), (0.42, width, top), "oak", 0.25)
@@ -303,7 +300,7 @@ def cable(mesh: Mesh, along: ArrayLike) -> None:
     mesh.tube(path[:, 0], 0.005, "rubber", 6)
 
 
-def basket(rng: np.random.Generator) -> Mesh:
+def basket(rng: Generator) -> Mesh:
     """Return a wicker basket with balls of wool around the origin."""
     mesh = Mesh()
     mesh.sheet(_turned((0, 0.0), (0.16, 0), (0.21, 0.26), (0.2, 0.26), (0.15, 0.02)), "wicker")
@@ -313,7 +310,7 @@ def basket(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def shoes(rng: np.random.Generator) -> Mesh:
+def shoes(rng: Generator) -> Mesh:
     """Return pairs of shoes along y, toes to +x."""
     mesh = Mesh()
     for k in range(3):

@@ -45,9 +45,8 @@ def _paint(rng: np.random.Generator, lightest: float = 0.8) -> Any:
     value, hue = rng.uniform(0.25, lightest) ** 0.5 * lightest**0.5, rng.uniform(0.92, 1.0, 3)
     color = tuple(float(c) for c in value * hue)
     s, grain = Shader("paint"), rng.choice([0.0, 0.015, 0.04])
-    return s.finish(
-        s.shade(color, 1 - grain, 1 + grain, s.noise(float(rng.uniform(20, 70)), 4, 0.7)), color
-    )
+    noise = s.noise(float(rng.uniform(20, 70)), 4, 0.7)
+    return s.finish(s.shade(color, 1 - grain, 1 + grain, noise), color)
 
 
 def _choose_materials(stage: Stage, rng: np.random.Generator) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.pose import Pose
@@ -77,10 +78,7 @@ def _joinery() -> Mesh:
     """Return skirting boards, window frame and sill, the door, a socket and a switch."""
     mesh, (x0, z0), (x1, z1) = Mesh(), *_WINDOW
     skirting = np.array([0, _LONG - 0.014, 0, 5.02, 0]), np.array([0, 0, 0, 0, _WIDE - 0.014])
-    ends = (
-        np.array([0.014, _LONG, 3.98, _LONG, _LONG]),
-        np.array([_WIDE, _WIDE, 0.014, 0.014, _WIDE]),
-    )
+    ends = (0.014, _LONG, 3.98, _LONG, _LONG), (_WIDE, _WIDE, 0.014, 0.014, _WIDE)
     mesh.box((*skirting, 0), (*ends, 0.08), "enamel")
     y, middle, bar = _WIDE + 0.12, (x0 + x1) / 2, 0.055
     left, right = (x0, middle - bar, x1 - bar), (x0 + bar, middle + bar, x1)
@@ -117,7 +115,7 @@ def _door(mesh: Mesh) -> None:
 # What stands on the floor and hangs on the walls
 
 
-def _furnish(stage: Stage, rng: np.random.Generator) -> None:
+def _furnish(stage: Stage, rng: Generator) -> None:
     # turns of what stands with its back to that wall
     east, north, south = np.pi, -np.pi / 2, np.pi / 2
     _put(stage, furniture.sofa(rng), (0.03, 0.85, 0))
@@ -153,7 +151,7 @@ def _rug(stage: Stage) -> None:
     stage.add(mesh, "rug")
 
 
-def _hang(stage: Stage, rng: np.random.Generator) -> None:
+def _hang(stage: Stage, rng: Generator) -> None:
     x0, x1 = _WINDOW[:, 0]
     for start in (x0 - 0.38, x1 - 0.12):
         _put(stage, furniture.curtain(rng, 0.5, 2.32), (start, _WIDE - 0.17, 0.05), -np.pi / 2)
@@ -172,11 +170,7 @@ def _hang(stage: Stage, rng: np.random.Generator) -> None:
 
 
 def _put(
-    stage: Stage,
-    mesh: Mesh,
-    at: ArrayLike,
-    yaw: float = 0.0,
-    color: Color = (0.5, 0.5, 0.5),
+    stage: Stage, mesh: Mesh, at: ArrayLike, yaw: float = 0.0, color: Color = (0.5, 0.5, 0.5)
 ) -> None:
     stage.put(mesh.to_blender("furniture", stage.materials, smooth=True), at, yaw, color)
 
@@ -184,7 +178,7 @@ def _put(
 # Outside and light
 
 
-def _outside(stage: Stage, rng: np.random.Generator) -> None:
+def _outside(stage: Stage, rng: Generator) -> None:
     """Put a lawn, a hedge, trees and the houses across the garden before the window."""
     mesh = Mesh()
     mesh.floor((-60, -60), (60, 60), _GARDEN, "grass")

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 from workshop.render.city import nature
 from workshop.render.indoor import furniture
 from workshop.render.surfaces.mesh_builder import Mesh, points
@@ -45,26 +46,26 @@ class Piece:
     """Something in the room: mesh, position (3,), yaw, scale, and its box, (2, 3)."""
 
     mesh: Mesh
-    at: NDArray[np.float64]
+    at: Floats
     yaw: float
     scale: float
-    box: NDArray[np.float64]
+    box: Floats
 
 
 @dataclass
 class RoomPlan:
     """All that is drawn at random before Blender builds the room."""
 
-    size: NDArray[np.float64]  # (length, width, height)
+    size: Floats  # (length, width, height)
     min_depth: float
     T_world_rig: Pose
     windows: list[Opening] = field(default_factory=list)
     # positions under the ceiling, (3,)
-    lamps: list[NDArray[np.float64]] = field(default_factory=list)
+    lamps: list[Floats] = field(default_factory=list)
     pieces: list[Piece] = field(default_factory=list)
 
 
-def wall_frame(size: NDArray[np.float64], side: int) -> tuple[NDArray, NDArray, NDArray, float]:
+def wall_frame(size: Floats, side: int) -> tuple[NDArray, NDArray, NDArray, float]:
     """Return start (3,), direction along (3,), direction outwards (3,) and length of a wall.
 
     Sides 0 to 3 are x = 0, y = 0, x = length, y = width.
@@ -76,7 +77,7 @@ def wall_frame(size: NDArray[np.float64], side: int) -> tuple[NDArray, NDArray, 
     return np.array(starts[side], float), along, outward, float((y, x, y, x)[side])
 
 
-def plan_room(rng: np.random.Generator) -> RoomPlan:
+def plan_room(rng: Generator) -> RoomPlan:
     """Draw a room; nothing in it is nearer to the rig centre than its `min_depth`."""
     kind = str(rng.choice(list(_KINDS), p=[0.6, 0.2, 0.2]))
     low, high, largest = _KINDS[kind]
@@ -93,7 +94,7 @@ def plan_room(rng: np.random.Generator) -> RoomPlan:
     return plan
 
 
-def _plan_windows(plan: RoomPlan, rng: np.random.Generator) -> None:
+def _plan_windows(plan: RoomPlan, rng: Generator) -> None:
     if rng.random() < 0.25:
         return
     for side in rng.choice(4, int(rng.integers(1, 3)), replace=False):
@@ -106,7 +107,7 @@ def _plan_windows(plan: RoomPlan, rng: np.random.Generator) -> None:
             plan.windows.append(Opening(int(side), left, right, float(sill), float(top)))
 
 
-def _plan_lamps(plan: RoomPlan, rng: np.random.Generator) -> None:
+def _plan_lamps(plan: RoomPlan, rng: Generator) -> None:
     nx, ny = (max(1, round(extent / rng.uniform(2.5, 5.0))) for extent in plan.size[:2])
     for i in range(min(nx, 4)):
         for j in range(min(ny, 2)):
@@ -114,7 +115,7 @@ def _plan_lamps(plan: RoomPlan, rng: np.random.Generator) -> None:
             plan.lamps.append(np.array([x, y, plan.size[2] - 0.03]))
 
 
-def _furnish(plan: RoomPlan, rng: np.random.Generator, count: float) -> None:
+def _furnish(plan: RoomPlan, rng: Generator, count: float) -> None:
     for _ in range(round(count)):
         pick = rng.random()
         if pick < 0.45:
@@ -127,9 +128,7 @@ def _furnish(plan: RoomPlan, rng: np.random.Generator, count: float) -> None:
             _table_with_things(plan, rng)
 
 
-def _place(
-    plan: RoomPlan, mesh: Mesh, at: NDArray[np.float64], yaw: float, scale: float = 1.0
-) -> bool:
+def _place(plan: RoomPlan, mesh: Mesh, at: Floats, yaw: float, scale: float = 1.0) -> bool:
     """Add a piece if it is inside the room and clear of rig and pieces; return whether."""
     box = bounds_after(mesh, yaw, scale, at)
     if (box[0] < -0.01).any() or (box[1] > plan.size + 0.01).any():
@@ -143,7 +142,7 @@ def _place(
     return True
 
 
-def _at_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
+def _at_wall(plan: RoomPlan, rng: Generator) -> None:
     """Stand a piece of furniture with its back to a wall."""
     name = str(rng.choice(list(_BACKED)))
     mesh, side = _BACKED[name](rng), int(rng.integers(4))
@@ -160,7 +159,7 @@ def _at_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
     _place(plan, mesh, start + first * along + outward * (x0 - 0.012), yaw)
 
 
-def _on_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
+def _on_wall(plan: RoomPlan, rng: Generator) -> None:
     """Hang a picture, a clock or a board on a wall without windows."""
     side = int(rng.integers(4))
     start, along, outward, length = wall_frame(plan.size, side)
@@ -178,13 +177,13 @@ def _on_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
     _place(plan, mesh, at, _SIDES[side])
 
 
-def _stand(plan: RoomPlan, mesh: Mesh, rng: np.random.Generator) -> None:
+def _stand(plan: RoomPlan, mesh: Mesh, rng: Generator) -> None:
     """Stand something anywhere on the floor."""
     at = np.array([*rng.uniform((0.3, 0.3), plan.size[:2] - 0.3), 0.0])
     _place(plan, mesh, at - (0, 0, mesh.bounds()[0, 2]), rng.uniform(-np.pi, np.pi))
 
 
-def _table_with_things(plan: RoomPlan, rng: np.random.Generator) -> None:
+def _table_with_things(plan: RoomPlan, rng: Generator) -> None:
     """Stand a table somewhere, chairs at it and small things on it."""
     long, wide, high = rng.uniform(0.8, 2.0), rng.uniform(0.5, 1.0), rng.uniform(0.45, 0.95)
     yaw = rng.choice(_SIDES) + rng.normal(0, 0.05)
@@ -217,7 +216,7 @@ def _desk(long: float, wide: float, high: float) -> Mesh:
     return mesh
 
 
-def _cupboard(rng: np.random.Generator) -> Mesh:
+def _cupboard(rng: Generator) -> Mesh:
     mesh, deep = Mesh(), rng.uniform(0.3, 0.65)
     wide, high = rng.uniform(0.5, 2.2), rng.uniform(0.7, 2.2)
     paint = str(rng.choice(["enamel", "oak", "0", "1"]))
@@ -231,7 +230,7 @@ def _cupboard(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _door(rng: np.random.Generator) -> Mesh:
+def _door(rng: Generator) -> Mesh:
     mesh, wide, high = Mesh(), rng.uniform(0.75, 1.0), rng.uniform(1.98, 2.15)
     paint = str(rng.choice(["enamel", "oak", "2"]))
     mesh.box((0, -0.07, 0), (0.03, 0, high), "enamel")
@@ -243,7 +242,7 @@ def _door(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _bed(rng: np.random.Generator) -> Mesh:
+def _bed(rng: Generator) -> Mesh:
     mesh, wide = Mesh(), rng.uniform(0.9, 1.8)
     mesh.box((0, 0, 0.1), (2.0, wide, 0.3), "oak", 0.4)
     furniture.cushion(mesh, (1.02, wide / 2, 0.4), (1.95, wide, 0.24), "curtain", 0.9)
@@ -252,7 +251,7 @@ def _bed(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _cartons(rng: np.random.Generator) -> Mesh:
+def _cartons(rng: Generator) -> Mesh:
     mesh, z = Mesh(), 0.0
     for _ in range(int(rng.integers(1, 4))):
         half, high = rng.uniform(0.12, 0.3, 2), rng.uniform(0.15, 0.45)
@@ -263,7 +262,7 @@ def _cartons(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _pillar(rng: np.random.Generator) -> Mesh:
+def _pillar(rng: Generator) -> Mesh:
     mesh, half = Mesh(), rng.uniform(0.12, 0.3)
     if rng.random() < 0.5:
         mesh.box((-half, -half, 0), (half, half, 2.3), "wall")
@@ -272,7 +271,7 @@ def _pillar(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def _toy(rng: np.random.Generator) -> Mesh:
+def _toy(rng: Generator) -> Mesh:
     """Return a ball, a block or another shape on the floor."""
     mesh, size = Mesh(), rng.uniform(0.08, 0.35)
     if rng.random() < 0.5:
@@ -283,7 +282,7 @@ def _toy(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-_BACKED: dict[str, Callable[[np.random.Generator], Mesh]] = {
+_BACKED: dict[str, Callable[[Generator], Mesh]] = {
     "bookcase": lambda rng: furniture.bookcase(rng, rng.uniform(0.7, 2.4), rng.uniform(0.8, 2.2)),
     "sofa": lambda rng: furniture.sofa(rng, rng.uniform(1.5, 2.4)),
     "sideboard": lambda rng: furniture.sideboard(rng, rng.uniform(1.4, 2.0)),
@@ -294,7 +293,7 @@ _BACKED: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "door": _door,
     "bed": _bed,
 }
-_FREE: dict[str, Callable[[np.random.Generator], Mesh]] = {
+_FREE: dict[str, Callable[[Generator], Mesh]] = {
     "person": lambda rng: nature.person(rng, walking=rng.random() < 0.3),
     "somebody": lambda rng: nature.person(rng, walking=False),
     "chair": lambda rng: furniture.chair(),

@@ -71,9 +71,7 @@ def random_sky(rng: np.random.Generator) -> Light:
     )
 
 
-def add_lamp(
-    kind: str, at: ArrayLike, watts: float, color: ArrayLike, size: ArrayLike
-) -> bpy.types.Object:
+def add_lamp(kind: str, at: ArrayLike, watts: float, color: ArrayLike, size: ArrayLike) -> Any:
     """Add a "POINT" of a radius, or an "AREA" of a width and a height, in metres; return it."""
     lamp = bpy.data.lights.new("lamp", kind)
     lamp.energy, lamp.color = watts, color

@@ -138,9 +138,8 @@ def _add_ground(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
 
     if plan.ground is None:
         return
-    stage.materials["ground"] = random_material(
-        rng, scale=float(rng.uniform(0.2, 1.5)), world=True, gloss=0.3
-    )
+    scale = float(rng.uniform(0.2, 1.5))
+    stage.materials["ground"] = random_material(rng, scale=scale, world=True, gloss=0.3)
     mesh = Mesh()
     mesh.floor((-400, -400), (400, 400), plan.ground, "ground")
     stage.add(mesh, "ground")
