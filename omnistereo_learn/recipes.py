@@ -191,19 +191,16 @@ PAPERS |= {"warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
 # the other half: there the receptive field is higher than the panorama, and a network trained only
 # on that would learn where its upper and lower edges are.
 _FINE: dict[str, Any] = {"width": 640, "height": 160, "num_spheres": 96}
-_PAPER_SCALE: dict[str, Any] = {"width": 600, "height": 150, "num_spheres": 192}
+_FEW = _FINE | {"halve": True, "spheres_per_frame": 1}
+_PAPER: dict[str, Any] = PAPERS | {"width": 600, "height": 150, "num_spheres": 192}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
-        "shipped": SweepNetRecipe(
-            **_FINE, halve=True, spheres_per_frame=1, steps=4000, validate_every=250
-        ),
+        "shipped": SweepNetRecipe(**_FEW, steps=4000, validate_every=250),
         # With --init-weights of "shipped". Most frames are of the streets, which must not get
         # worse.
         "worlds": SweepNetRecipe(
-            **_FINE,
-            halve=True,
-            spheres_per_frame=1,
+            **_FEW,
             batch_norm=False,
             worlds="sunny sunny sunny streets rooms things",
             steps=500,
@@ -222,8 +219,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             max_positives=90000,
             any_sphere=0.0,
             min_negatives=0,
-            **_PAPER_SCALE,
-            **PAPERS,
+            **_PAPER,
         ),
     },
     "volumenet": {
@@ -261,8 +257,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             negative_high_px=18.0,
             steps=2187500,
             validate_every=20000,
-            **_PAPER_SCALE,
-            **PAPERS,
+            **_PAPER,
         ),
     },
 }

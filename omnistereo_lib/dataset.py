@@ -184,8 +184,7 @@ def _read_frames(
             )
     gt = _find_gt(_gt_root(folder), gt_width)
     return [
-        Frame(_rig_of(folder, n, rig), [files[n] for files in images], n, gt.get(n))
-        for n in numbers
+        Frame(_rig_of(folder, n, rig), [one[n] for one in images], n, gt.get(n)) for n in numbers
     ]
 
 

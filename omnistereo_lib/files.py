@@ -223,9 +223,7 @@ def _yaml_loader() -> type:
     for kind, (pattern, first, read) in _NUMBERS.items():
         tag = f"tag:yaml.org,2002:{kind}"
         Loader.add_implicit_resolver(tag, re.compile(rf"(?:{pattern})\Z"), [*first])
-        Loader.add_constructor(
-            tag, lambda loader, node, read=read: read(loader.construct_scalar(node))
-        )
+        Loader.add_constructor(tag, lambda it, node, read=read: read(it.construct_scalar(node)))
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
         Loader.add_constructor(
             f"tag:yaml.org,2002:{tag}",

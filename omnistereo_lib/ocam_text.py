@@ -17,11 +17,7 @@ from numpy.polynomial.polynomial import polyval
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import write_text
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
-from omnistereo_lib.geometry.field_of_view import (
-    DEFAULT_FOV_DEG,
-    Projected,
-    field_of_view_deg,
-)
+from omnistereo_lib.geometry.field_of_view import DEFAULT_FOV_DEG, Projected, field_of_view_deg
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.parse import numbered_lines, parse_floats, parse_size
 from omnistereo_lib.pictures import read_gray

@@ -169,7 +169,7 @@ def draw_frame(seed: int, number: int, size: float = 1.0, faults: bool = False) 
     nearest = 1 / max(scene.inverse_depth_along(SphereGrid(160, 40).rays()).max(), 0.01)
     rig = Rig(rig.cameras, rig.T_rig_cam, float(nearest * rng.uniform(0.2, 0.7)))
     radiance = [
-        scene.image(camera, pose) for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True)
+        scene.image(lens, pose) for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True)
     ]
     stated = rig
     if faults:
@@ -219,9 +219,7 @@ def with_glare(
 def misstated(rig: Rig, rng: Generator, degrees: float = 0.05, pixels: float = 0.3) -> Rig:
     """Return a rig as a good calibration has it: orientations and centres of images off a bit."""
     off = [Pose.from_vector([*rng.normal(0, np.radians(degrees), 3), 0, 0, 0]) for _ in rig.cameras]
-    cameras = [
-        replace(one, center=tuple(one.center + rng.normal(0, pixels, 2))) for one in rig.cameras
-    ]
+    cameras = [replace(c, center=tuple(c.center + rng.normal(0, pixels, 2))) for c in rig.cameras]
     poses = [pose @ error for pose, error in zip(rig.T_rig_cam, off, strict=True)]
     return Rig(cameras, poses, rig.min_depth)
 

@@ -174,9 +174,7 @@ class Evaluation:
             for name, data in self.sets.items()
             for frame in _select_frames(data, frames)
         ]
-        self.jobs = [
-            Job(name, frame.number, method) for name, frame in chosen for method in methods
-        ]
+        self.jobs = [Job(name, f.number, method) for name, f in chosen for method in methods]
         rig_text = (
             "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         )
@@ -376,7 +374,5 @@ def _checksums(name: str, set_folder: Path, frame: Frame) -> dict[str, str]:
         name = f"{name}/{folder.name}"
     files = {f"{name}/{path.name}": path for path in _rig_files(folder)}
     depth = [frame.gt_path] if frame.gt_path is not None else []
-    files |= {
-        f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, *depth]
-    }
+    files |= {f"{name}/{p.parent.name}/{p.name}": p for p in [*frame.image_paths, *depth]}
     return {key: checksum(read_bytes(path)) for key, path in files.items()}

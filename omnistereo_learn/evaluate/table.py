@@ -14,6 +14,7 @@ from omnistereo_learn.evaluate.methods import EvaluatedMethod
 from omnistereo_learn.evaluate.records import Record, write_record
 from omnistereo_learn.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
 from omnistereo_lib.files import make_folder, write_text
+from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.zncc import default_window
 
@@ -31,7 +32,7 @@ class Table:
 
     heads: list[str]
     columns: list[str]
-    rows: list[tuple[list[str], NDArray[np.float64]]]
+    rows: list[tuple[list[str], Floats]]
     caption: str = ""
 
     def text(self) -> str:
@@ -80,20 +81,16 @@ class Table:
             writer.writerow([*words, *("" if np.isnan(x) else f"{x:.6g}" for x in cells.ravel())])
         return file.getvalue()
 
-    def _texts(self, cells: NDArray[np.float64]) -> tuple[list[str], list[str]]:
+    def _texts(self, cells: Floats) -> tuple[list[str], list[str]]:
         """Return values and intervals, percents with the paper's digits, errors with one more."""
         texts = [
             ["" if np.isnan(x) else f"{x:.{1 if '>' in column else 2}f}" for x in cell]
             for column, cell in zip(self.columns, cells, strict=True)
         ]
-        return [cell[0] or "–" for cell in texts], [
-            "–".join(filter(None, cell[1:])) for cell in texts
-        ]
+        return [c[0] or "–" for c in texts], ["–".join(filter(None, c[1:])) for c in texts]
 
 
-def bootstrap(
-    samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]]
-) -> NDArray[np.float64]:
+def bootstrap(samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]]) -> Floats:
     """Return a statistic of frames with its percentile bootstrap interval of 95 %, (C, 3).
 
     `samples` has shape (frames, K); `statistic` maps its mean over frames, (..., K), to (..., C).
@@ -122,9 +119,7 @@ def errors_table(results: Record) -> Table:
     for method in _methods(results):
         cells = []
         for frames in (results["frames"][name].values() for name in sets):
-            found = [
-                [frame[method.name]["figures"][metric] for metric in METRICS] for frame in frames
-            ]
+            found = [[frame[method.name]["figures"][key] for key in METRICS] for frame in frames]
             known = [row for row in found if None not in row]
             cells.append(
                 bootstrap(known, lambda mean: mean) if known else np.full((len(METRICS), 3), np.nan)
@@ -153,7 +148,7 @@ def regions_table(results: Record) -> Table:
     return Table(["set", "region", "rays", "method"], list(METRICS), rows, caption)
 
 
-def _sums(regions: dict[str, dict[str, float]], name: str) -> NDArray[np.float64]:
+def _sums(regions: dict[str, dict[str, float]], name: str) -> Floats:
     """Return the `SUMS` of a region; without the sky, of all rays less those of the sky.
 
     A frame of fewer cameras has no rays that are seen by more.

@@ -30,9 +30,7 @@ _HELD_OUT = 1 << 40  # the seed of the endless worlds of validation; no recipe h
 
 def folders_of(recipe: Recipe) -> list[str | Path]:
     """Return what a recipe trains on by default: training sets of data_samples, "endless"."""
-    return [
-        world if world == ENDLESS else DATA / world / "train" for world in recipe.worlds.split()
-    ]
+    return [name if name == ENDLESS else DATA / name / "train" for name in recipe.worlds.split()]
 
 
 class TrainingFrames:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, log_softmax
@@ -46,7 +47,7 @@ class VolumeSamples(TrainingFrames):
         self._rays = self.grid_of(1.0).rays()
 
     def micro_batch(
-        self, frame: Frame | EndlessFrame, rng: np.random.Generator, augment: bool
+        self, frame: Frame | EndlessFrame, rng: Generator, augment: bool
     ) -> list[VolumeSample]:
         """Return a frame and others, `batch_frames` in all; with `augment`, each seen differently.
 
@@ -62,7 +63,7 @@ class VolumeSamples(TrainingFrames):
             others = [pool[k] for k in rng.integers(len(pool), size=count)]
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
-    def view(self, rng: np.random.Generator | None) -> tuple[NDArray[Any], float]:
+    def view(self, rng: Generator | None) -> tuple[NDArray[Any], float]:
         """Draw the rotation of a grid, any way about the vertical, ±10° tilted, and a scale."""
         if rng is None:
             return np.eye(3), 1.0
@@ -73,7 +74,7 @@ class VolumeSamples(TrainingFrames):
         rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
         return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
 
-    def _sample(self, frame: Frame | EndlessFrame, rng: np.random.Generator | None) -> VolumeSample:
+    def _sample(self, frame: Frame | EndlessFrame, rng: Generator | None) -> VolumeSample:
         """Return a frame on a grid; with an rng, rotated, scaled, mirrored, its images changed."""
         rotation, scale = self.view(rng)
         assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
@@ -103,9 +104,7 @@ def _shared_rays(coordinates: list[Tensor], shape: torch.Size) -> Tensor:
     return interpolate(shared[None, None].float(), shape, mode="nearest")[0, 0] > 0
 
 
-def _other_look(
-    image: NDArray[np.float32], rng: np.random.Generator | None, device: torch.device
-) -> Tensor:
+def _other_look(image: NDArray[np.float32], rng: Generator | None, device: torch.device) -> Tensor:
     """Copy an image in [0, 255] to a device; with an rng, change how its camera sees."""
     if rng is None:
         return to_device(image, device)
@@ -128,9 +127,7 @@ class VolumeObjective(nn.Module):
 
     def forward(self, batch: list[VolumeSample]) -> tuple[Tensor, Tensor]:
         """Return the loss and the fraction of rays whose index is off by more than 1 % of N."""
-        volumes = [
-            self.network.correlation(one.images, one.masks, one.coordinates) for one in batch
-        ]
+        volumes = [self.network.correlation(b.images, b.masks, b.coordinates) for b in batch]
         index = torch.stack([one.index for one in batch])
         columns = torch.arange(self.grid.width, device=index.device)
         logits = resize_logits(self.network(torch.stack(volumes)), columns, self.grid)

@@ -44,10 +44,7 @@ def initial_estimate(
     focals = [min(image_size) / 2 / angle for angle in _CANDIDATE_EDGE_ANGLES]
     focals = [focal for focal in focals if farthest / focal < _WIDEST]
     # With F given every pixel is a ray, and each view a plane: see how well planes fit for each F.
-    planes = [
-        [solve_planar_pose(_rays(view, center, focal), points) for view in views]
-        for focal in focals
-    ]
+    planes = [[solve_planar_pose(_rays(view, center, f), points) for view in views] for f in focals]
     errors = focals * np.array([np.median([error for _, error in row]) for row in planes])
     observations = collect_observations([views], points)
     best, least = None, np.inf
@@ -76,10 +73,7 @@ def estimate_poses(
 ) -> CalibrationParams:
     """Return a given camera, as it is, and the pose of each view; see `initial_estimate`."""
     intrinsics, roll = Intrinsics.of_camera(camera)
-    rays = [
-        np.where(valid[:, None], rays @ roll.R.T, np.nan)
-        for rays, valid in map(camera.unproject, views)
-    ]
+    rays = [np.where(ok[:, None], r @ roll.R.T, np.nan) for r, ok in map(camera.unproject, views)]
     poses = tuple(solve_planar_pose(of_view, points)[0] for of_view in rays)
     return CalibrationParams((intrinsics,), (Pose.identity(),), poses, fixed_intrinsics=True)
 
@@ -139,11 +133,8 @@ def solve_planar_pose(rays: Floats, points: Floats) -> tuple[Pose, float]:
     H[:, :2] /= size
     # Both first columns have length 1 on average, and points lie along their rays, not against
     # them.
-    H *= (
-        np.sign(np.sum(b * (plane * [size, size, 1] @ H.T)))
-        * 2
-        / np.linalg.norm(H[:, :2], axis=0).sum()
-    )
+    H *= 2 / np.linalg.norm(H[:, :2], axis=0).sum()
+    H *= np.sign(np.sum(b * (plane * [size, size, 1] @ H.T)))
     # The nearest two columns that are orthonormal; the third column is their cross product.
     U, _, Vt = np.linalg.svd(H[:, :2], full_matrices=False)
     r1, r2 = (U @ Vt).T

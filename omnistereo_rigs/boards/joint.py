@@ -277,9 +277,7 @@ def _relative_pose(
         for key, T in proposals.items()
     }
     # The one on which most captures agree; of equally many, the one with the least median error.
-    best = min(
-        errors, key=lambda key: (-np.count_nonzero(errors[key] < _AGREE), np.median(errors[key]))
-    )
+    best = min(errors, key=lambda k: (-np.count_nonzero(errors[k] < _AGREE), np.median(errors[k])))
     agree = [k for k, error in zip(captures, errors[best], strict=True) if error < _AGREE]
     if len(agree) < 2 <= len(captures):
         raise OmnistereoError(
@@ -347,10 +345,7 @@ def _resolve_board_ambiguity(
 
 
 def _bad_captures(
-    distance: Floats,
-    observations: Observations,
-    captures: list[int],
-    single: list[CameraReport],
+    distance: Floats, observations: Observations, captures: list[int], single: list[CameraReport]
 ) -> dict[int, str]:
     """Return captures that fit each camera, but the rig much worse than others of the same ones."""
     ratios: dict[tuple[int, ...], dict[int, float]] = {}

@@ -82,11 +82,8 @@ class AprilGrid(Board):
             small: list[Floats] = [
                 (quad.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5 for quad in quads
             ]
-            known = {
-                n: quad
-                for n, quad in zip(numbers, small, strict=True)
-                if 0 <= 4 * n < len(self.points)
-            }
+            pairs = zip(numbers, small, strict=True)
+            known = {n: quad for n, quad in pairs if 0 <= 4 * n < len(self.points)}
             found = known if len(known) > len(found) else found
         first = self._first_corner(found)
         if first is None:

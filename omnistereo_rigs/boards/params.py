@@ -181,12 +181,7 @@ def collect_observations(views: Sequence[Sequence[Floats | None]], points: Float
     Args:
         points (array, shape (K, 3)): The corners in the board frame in the same order, metres.
     """
-    index = [
-        (i, k)
-        for i, row in enumerate(views)
-        for k, corners in enumerate(row)
-        if corners is not None
-    ]
+    index = [(i, k) for i, row in enumerate(views) for k, uv in enumerate(row) if uv is not None]
     camera, capture = np.repeat(index, len(points), axis=0).T
     pixels = np.concatenate([views[i][k] for i, k in index])
     corner = np.tile(np.arange(len(points)), len(index))

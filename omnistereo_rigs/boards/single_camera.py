@@ -308,8 +308,7 @@ def _cv_errors(
         parts = [np.flatnonzero(part).tolist() for part in (~held_out, held_out)]
         train, test = (
             BundleProblem(
-                params.with_captures(part),
-                collect_observations([[views[k] for k in part]], points),
+                params.with_captures(part), collect_observations([[views[k] for k in part]], points)
             )
             for part in parts
         )

@@ -310,9 +310,7 @@ def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
         np.sum([a.R @ b.R.T for a, b in zip(rig.T_rig_cam, poses, strict=True)], axis=0)
     )
     offset = rig.centers.mean(axis=0) - scale * common @ found.centers.mean(axis=0)
-    return rig.with_poses(
-        [Pose(common @ pose.R, scale * common @ pose.t + offset) for pose in poses]
-    )
+    return rig.with_poses([Pose(common @ T.R, scale * common @ T.t + offset) for T in poses])
 
 
 def _compared(
@@ -459,9 +457,8 @@ def _yaw_pitch_roll(turn: Floats) -> str:
         ("roll", "clockwise", "anticlockwise"),
     )
     degrees = np.degrees(turn)
-    order = [
-        k for k in np.argsort(-np.abs(degrees)) if abs(degrees[k]) > 0.2 * np.abs(degrees).max()
-    ]
+    size = np.abs(degrees)
+    order = [k for k in np.argsort(-size) if size[k] > 0.2 * size.max()]
     return ", ".join(
         f"{names[k][0]} {_degrees(abs(degrees[k]))} {names[k][1 if degrees[k] > 0 else 2]}"
         for k in order

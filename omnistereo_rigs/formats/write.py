@@ -9,13 +9,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.files import make_folder, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.field_of_view import AZIMUTHS, ring_rays
-from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation
+from omnistereo_lib.geometry.pose import Floats, Pose, quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.pictures import write_image
 from omnistereo_lib.rig_file import save_rig, write_ocam_folder
@@ -125,7 +124,7 @@ def write_kalibr(rig: Rig, parameters: Parameters, path: Path) -> None:
     write_text(path, to_yaml(chain))
 
 
-def _matrix(R: NDArray[np.float64], t: NDArray[np.float64]) -> list[list[float]]:
+def _matrix(R: Floats, t: Floats) -> list[list[float]]:
     return [*np.column_stack([R, t]).tolist(), [0.0, 0.0, 0.0, 1.0]]
 
 
@@ -191,7 +190,7 @@ def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
     write_text(folder / "rig_config.json", json.dumps([{"cameras": cameras}], indent=1) + "\n")
 
 
-def _angles(camera: OcamCamera) -> NDArray[np.float64]:
+def _angles(camera: OcamCamera) -> Floats:
     """Return the angle of each pixel from the axis, degrees, (height, width); NaN: none."""
     width, height = camera.image_size
     rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))

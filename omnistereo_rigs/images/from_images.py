@@ -202,9 +202,7 @@ def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int) -> li
 
 
 def rig_from_pairs(
-    cameras: Sequence[OcamCamera],
-    features: Sequence[Sequence[Features]],
-    baseline: float,
+    cameras: Sequence[OcamCamera], features: Sequence[Sequence[Features]], baseline: float
 ) -> Rig:
     """Return a first rig, frame of camera 1, from features and a distance; see `chain_poses`."""
     # Images show everything but the size; one known length scales all centres.
@@ -359,10 +357,8 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
     apart, by_noise, by_lens = np.zeros(2), np.zeros(2), np.zeros(2)
     for half in halves:
         tracks = [bundle.tracks.select(part[bundle.tracks.point]) for part in (half, ~half)]
-        if (
-            min(np.bincount(one.camera, minlength=len(bundle.rig)).min() for one in tracks)
-            < _FEWEST
-        ):
+        counts = [np.bincount(one.camera, minlength=len(bundle.rig)) for one in tracks]
+        if np.min(counts) < _FEWEST:
             continue  # a camera that hardly any point is left for
         first, second = (bundle.with_tracks(one) for one in tracks)
         # The noise is that of all points: a half is too small to estimate its own.

@@ -56,12 +56,8 @@ class TrackBundle:
     def __init__(
         self, rig: Rig, tracks: Tracks, centre_sd: float | None = None, free_lenses: bool = False
     ) -> None:
-        self.rig, self.tracks, self.centre_sd, self.free_lenses = (
-            rig,
-            tracks,
-            centre_sd,
-            free_lenses,
-        )
+        self.rig, self.tracks = rig, tracks
+        self.centre_sd, self.free_lenses = centre_sd, free_lenses
         middle = rig.centers.mean(axis=0)
         self.R = np.stack([pose.R for pose in rig.T_rig_cam])
         self.t = self.t_prior = rig.centers - middle
@@ -275,9 +271,8 @@ class TrackBundle:
         back = point_gradients + np.einsum("nij,i->nj", coupling, d)
         d_points = -np.einsum("nij,nj->ni", inverse, back)
         d = d.reshape(len(self.rig), self.width)
-        self.R = np.stack(
-            [rotation_from_axis_angle(w) @ R for w, R in zip(d[:, :3], self.R, strict=True)]
-        )
+        turns = zip(d[:, :3], self.R, strict=True)
+        self.R = np.stack([rotation_from_axis_angle(w) @ R for w, R in turns])
         self.lens = self.lens + d[:, 6:] if self.free_lenses else self.lens
         # The new u is a little longer than 1; (u, ρ) times any factor is the same point.
         u = self.points[:, :3] + np.einsum("nij,nj->ni", self._basis, d_points[:, :2])
@@ -302,10 +297,7 @@ class TrackBundle:
         """Return the rig with the poses and lenses found, in the frame of the initial one."""
         middle = self.rig.centers.mean(axis=0)
         poses = [Pose(R, t + middle) for R, t in zip(self.R, self.t, strict=True)]
-        cameras = [
-            _corrected(camera, lens)
-            for camera, lens in zip(self.rig.cameras, self.lens, strict=True)
-        ]
+        cameras = list(map(_corrected, self.rig.cameras, self.lens))
         return replace(self.rig, cameras=tuple(cameras), T_rig_cam=tuple(poses))
 
     def _gauge(self) -> Floats:
