@@ -20,14 +20,8 @@ NOTEBOOKS = ROOT / "notebooks"
 SETUP = (
     "import omnistereo_lib as osl\nfrom course.classroom.doctor import doctor\n\ndoctor(short=True)"
 )
-PACKAGES = (
-    "omnistereo_lib",
-    "omnistereo_rigs",
-    "omnistereo_learn",
-    "omnistereo_tools",
-    "course",
-    "workshop",
-)
+PACKAGES = ["omnistereo_lib", "omnistereo_rigs", "omnistereo_learn", "omnistereo_tools"]
+PACKAGES += ["course", "workshop"]
 IMPORT = re.compile(r"^(?:from|import) (\w+)", re.MULTILINE)
 # The folded solution of an open function; clean() writes the right answer's source into it.
 SOLUTION = re.compile(
@@ -152,9 +146,7 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
         cell.metadata = nbformat.from_dict(kept | folded)
         if cell.cell_type == "code":
             # A widget without its kernel shows nothing; the figure beside it is what a reader sees.
-            cell.outputs = [
-                output for output in cell.outputs if WIDGET not in output.get("data", {})
-            ]
+            cell.outputs = [one for one in cell.outputs if WIDGET not in one.get("data", {})]
             for output in cell.outputs:
                 if output.output_type == "error":  # the frames name files of this machine
                     output.traceback = [f"{output.ename}: {output.evalue}"]

@@ -74,15 +74,11 @@ def _data() -> Iterator[Check]:
     except (LookupError, TypeError, ValueError, RecursionError):
         yield False, f"{manifest.name} is broken: {fix}"
         return
-    broken = [
-        name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum
-    ]
+    broken = [name for name, sha in files.items() if _sha256(manifest.parent / name) != sha]
     if broken:
         some = ", ".join(broken[:3]) + (" …" if len(broken) > 3 else "")
-        yield (
-            False,
-            f"{len(broken)} of {len(files)} data files are missing or changed ({some}): {fix}",
-        )
+        found = f"{len(broken)} of {len(files)} data files are missing or changed"
+        yield False, f"{found} ({some}): {fix}"
     else:
         yield True, f"data_samples: {len(files)} files with the right checksums"
 

@@ -80,9 +80,7 @@ def read_cells(path: Path) -> list[tuple[str, str]]:
     """Return type and source of a handed-in notebook's cells; outputs are not looked at."""
     content = read_bytes(path, MAX_BYTES)
     try:
-        return [
-            (cell["cell_type"], "".join(cell["source"])) for cell in json.loads(content)["cells"]
-        ]
+        return [(c["cell_type"], "".join(c["source"])) for c in json.loads(content)["cells"]]
     except Exception as error:  # JSON, its nesting, its keys
         kind = type(error).__name__
         raise OmnistereoError(
@@ -93,11 +91,8 @@ def read_cells(path: Path) -> list[tuple[str, str]]:
 def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
     """Return the course's notebook that a handed-in one began as, by the number in its title."""
     title = next((source for kind, source in cells if kind == "markdown"), "")
-    found = [
-        original
-        for original in nbtools.notebooks()
-        if title.startswith(f"# {nbtools.number(original)} ")
-    ]
+    known = nbtools.notebooks()
+    found = [path for path in known if title.startswith(f"# {nbtools.number(path)} ")]
     if not found:
         raise OmnistereoError(
             f"{path} begins with {title[:40]!r}; expected the title of a notebook of the course,"
@@ -126,51 +121,36 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     asked = exercises_of(nbtools.read_notebook(original))
     code = [source for kind, source in cells if kind == "code"]
     seed = int(checksum(path)[:8], 16)  # cases that its author has not seen, the same at each check
-    task = {"cells": code, "exercises": {exercise.function: exercise.checker for exercise in asked}}
-    ran = student.run(
-        task | {"seed": seed, "cell_s": seconds / 3, "answer_s": ANSWER_S}, seconds, memory_gib
-    )
+    checkers = {exercise.function: exercise.checker for exercise in asked}
+    task: dict[str, Any] = {"cells": code, "exercises": checkers, "seed": seed}
+    task |= {"cell_s": seconds / 3, "answer_s": ANSWER_S}
+    ran = student.run(task, seconds, memory_gib)
     if ran.stopped and not ran.records:
         raise OmnistereoError(f"no cell can run: {ran.stopped}. Raise --seconds or --memory")
     said = [record.get("said") for record in ran.records if "cell" in record]
     notes = list(other_version(code, asked))
-    notes += [
-        f"code cell {number} stopped with {text}"
-        for number, text in enumerate(said, start=1)
-        if text
-    ]
+    notes += [f"code cell {k} stopped with {text}" for k, text in enumerate(said, 1) if text]
     notes = notes[:MAX_NOTES]
-    notes += [
-        f"left threads behind: {left}" for record in ran.records if (left := record.get("threads"))
-    ]
+    notes += [f"left threads behind: {left}" for one in ran.records if (left := one.get("threads"))]
     if ran.left_mib >= 1:
         notes.append(f"left {ran.left_mib:.0f} MiB of files behind, which were removed")
     if ran.stopped:
         where = f"in code cell {len(said) + 1}" if len(said) < len(code) else "after its last cell"
         notes.append(f"stopped {where}: {ran.stopped}")
-    answers = {
-        record["function"]: record.get("replies")
-        for record in ran.records
-        if isinstance(record.get("function"), str)
-    }
+    named = [record for record in ran.records if isinstance(record.get("function"), str)]
+    answers = {record["function"]: record.get("replies") for record in named}
     results = {exercise.number: judge(exercise, seed, answers, ran.stopped) for exercise in asked}
     used = {"seconds": round(ran.seconds, 1), "peak_gib": round(ran.peak_gib, 2)}
-    return {
-        "notebook": original.stem,
-        "exercises": results,
-        "notes": list(map(printable, notes)),
-    } | used
+    sheet = {"notebook": original.stem, "exercises": results}
+    return sheet | {"notes": list(map(printable, notes))} | used
 
 
 def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) -> dict[str, str]:
     """Return the status of an exercise and what this clone's checker says of the answers."""
     if exercise.function not in answers:
-        missing = f"there is no function {exercise.function}"
-        return (
-            {"status": "not judged", "said": stopped}
-            if stopped
-            else {"status": "not tried", "said": missing}
-        )
+        if stopped:
+            return {"status": "not judged", "said": stopped}
+        return {"status": "not tried", "said": f"there is no function {exercise.function}"}
     said = exercise.open.check(repeat(answers[exercise.function]), seed)
     status = "not tried" if said.startswith(NOT_WRITTEN) else "right" if said == RIGHT else "wrong"
     return {"status": status, "said": printable(" ".join(said.split()))}
@@ -235,10 +215,8 @@ def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
 
 def in_words(sheet: Sheet) -> str:
     """Return a score sheet as text."""
-    lines = [
-        f"{sheet['file']}: notebook {sheet['notebook']}, {sheet['seconds']} s,"
-        f" {sheet['peak_gib']} GiB"
-    ]
+    used = f"{sheet['seconds']} s, {sheet['peak_gib']} GiB"
+    lines = [f"{sheet['file']}: notebook {sheet['notebook']}, {used}"]
     width = max(map(len, sheet["exercises"]), default=0)
     for number, result in sheet["exercises"].items():
         said = "" if result["status"] == "right" else result["said"]

@@ -59,10 +59,8 @@ def renew(name: str) -> None:
     copy = WORKING / found[0].name
     if copy.exists():
         kept = (copy.with_stem(f"{copy.stem}-{k}") for k in itertools.count(1))
-        print(
-            "your work is kept as"
-            f" {copy.rename(next(path for path in kept if not path.exists())).name}"
-        )
+        free = next(path for path in kept if not path.exists())
+        print(f"your work is kept as {copy.rename(free).name}")
     WORKING.mkdir(exist_ok=True)
     write_text(copy, nbtools.read_text(found[0]))
     print(f"a fresh copy is in {WORKING.name}/{copy.name}")
@@ -74,11 +72,8 @@ class Notebooks(AsyncLargeFileManager):
     async def get(self, *arguments: Any, **options: Any) -> dict[str, Any]:
         """Return a file or folder; see `AsyncLargeFileManager.get`."""
         model = await super().get(*arguments, **options)
-        if (
-            model["type"] == "notebook"
-            and model["content"]
-            and "omnistereo" in model["content"]["metadata"]
-        ):
+        content = model["content"] if model["type"] == "notebook" else None
+        if content and "omnistereo" in content["metadata"]:
             spec = {key: get_kernel_dict()[key] for key in ("display_name", "language")}
             about = {
                 "kernelspec": spec | {"name": "python3"},

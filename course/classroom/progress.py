@@ -66,38 +66,26 @@ def write_progress(out: Path) -> None:
             continue
         copy = WORKING / path.name
         marks, address = read_marks(copy), f"{lab}/{WORKING.name}/{path.name}"
-        found = [marks.get(function.name, "") for function in functions]
+        names = [function.name for function in functions]
+        found = [marks.get(name, "") for name in names]
         count, total = count + found.count("✓"), total + len(found)
-        title = (
-            f"{nbtools.number(path)} {nbtools.read_notebook(path).metadata['omnistereo']['title']}"
-        )
-        items = "".join(
-            _item(function.name, mark) for function, mark in zip(functions, found, strict=True)
-        )
+        facts = nbtools.read_notebook(path).metadata["omnistereo"]
+        title = f"{nbtools.number(path)} {facts['title']}"
+        items = "".join(map(_item, names, found))
         link = f'<a href="{address}">{html.escape(title)}</a>'
         rows.append(f"<h2>{link}: {found.count('✓')} of {len(found)}</h2>\n<ul>{items}</ul>")
         if not following and found.count("✓") < len(found):
-            name = next(
-                function.name
-                for function, mark in zip(functions, found, strict=True)
-                if mark != "✓"
-            )
+            name = next(name for name, mark in zip(names, found, strict=True) if mark != "✓")
             following = f"Go on with <code>{name}</code> in {link}. "
         print(f"{title}: {found.count('✓')} of {len(found)}")
     method = _own_method()
     certificate = _certificate(total) if count == total else ""
     out.parent.mkdir(parents=True, exist_ok=True)
-    parts = {
-        "following": following,
-        "method": method,
-        "rows": "\n".join(rows),
-        "certificate": certificate,
-    }
+    parts = {"following": following, "method": method, "certificate": certificate}
+    parts |= {"rows": "\n".join(rows)}
     write_text(out, PAGE.format(count=count, total=total, **parts))
-    print(
-        f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it"
-        " counted."
-    )
+    right = f"{count} of {total} functions are right"
+    print(f"{right}. Written: {out}. Save a notebook to have it counted.")
 
 
 def _own_method() -> str:
@@ -126,11 +114,7 @@ def _own_method() -> str:
 
 def lab_address() -> str:
     """Return where the JupyterLab of this clone shows files; where it will, if none is running."""
-    running = (
-        server["url"]
-        for server in list_running_servers()
-        if Path(server["root_dir"]) == nbtools.ROOT
-    )
+    running = (s["url"] for s in list_running_servers() if Path(s["root_dir"]) == nbtools.ROOT)
     return f"{next(running, 'http://localhost:8888/')}lab/tree"
 
 
@@ -138,11 +122,8 @@ def read_marks(path: Path) -> dict[str, str]:
     """Return ✓ or ✗ of the functions that a working copy has tried, by name."""
     if not path.exists():
         return {}
-    outputs = [
-        output
-        for cell in nbtools.code_cells(nbtools.read_notebook(path))
-        for output in cell.outputs
-    ]
+    cells = nbtools.code_cells(nbtools.read_notebook(path))
+    outputs = [output for cell in cells for output in cell.outputs]
     return {name: mark for output in outputs for mark, name in SAID.findall(output.get("text", ""))}
 
 
@@ -156,11 +137,7 @@ def _certificate(total: int) -> str:
     cells = nbtools.code_cells(nbtools.read_notebook(WORKING / path.name))
     for output in itertools.chain(*(cell.outputs for cell in cells if PICTURE in cell.source)):
         for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
-            picture, alt = (
-                str(output.data[mime]).replace("\n", ""),
-                str(output.data.get("text/plain", "")),
-            )
-            return CERTIFICATE.format(
-                total=total, mime=mime, picture=html.escape(picture), alt=html.escape(alt)
-            )
+            picture = html.escape(str(output.data[mime]).replace("\n", ""))
+            alt = html.escape(str(output.data.get("text/plain", "")))
+            return CERTIFICATE.format(total=total, mime=mime, picture=picture, alt=alt)
     return ""  # it was removed

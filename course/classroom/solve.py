@@ -64,15 +64,11 @@ def open_answers(number: str) -> dict[str, Callable[..., Any]]:
 
 def not_right(nb: NotebookNode) -> list[str]:
     """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
-    cells = [
-        cell for cell in nbtools.code_cells(nb) if re.search(r"\bnb\w+\.check_\w+\(", cell.source)
-    ]
+    checks = re.compile(r"\bnb\w+\.check_\w+\(")
+    cells = [cell for cell in nbtools.code_cells(nb) if checks.search(cell.source)]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
-    return [
-        words
-        for words in said
-        if not re.search(r"^.*\w+: right, .+ with yours\.$", words, re.MULTILINE)
-    ]
+    right = re.compile(r"^.*\w+: right, .+ with yours\.$", re.MULTILINE)
+    return [words for words in said if not right.search(words)]
 
 
 def main(names: list[str]) -> None:

@@ -135,11 +135,7 @@ def limited(
     others = set(psutil.Process().children(recursive=True))
 
     def family() -> list[psutil.Process]:
-        return [
-            process
-            for process in psutil.Process().children(recursive=True)
-            if process not in others
-        ]
+        return [each for each in psutil.Process().children(recursive=True) if each not in others]
 
     home, temporary = folder / "home", folder / "tmp"
     home.mkdir()
@@ -323,9 +319,7 @@ def main() -> None:
     records = os.fdopen(os.dup(1), "w", encoding="ascii")
     # what it prints goes nowhere: it may print without end
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    sys.path[:] = [
-        path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()
-    ]
+    sys.path[:] = [one for one in sys.path if Path(one) == ROOT or not Path(one, "course").is_dir()]
     with suppress(ValueError):  # the limit is lower already
         resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
     shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
@@ -360,9 +354,7 @@ def main() -> None:
                     function=name,
                     replies=replies(function, open_function, task["seed"], task["answer_s"]),
                 )
-    threads = [
-        thread.name for thread in threading.enumerate() if thread is not threading.main_thread()
-    ]
+    threads = [one.name for one in threading.enumerate() if one is not threading.main_thread()]
     write(end=True, threads=", ".join(threads))
     os._exit(0)  # without threads and functions of `atexit` that a cell has left
 
@@ -446,11 +438,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, Pose):
         return value.as_vector().tolist()
     value = value.detach() if hasattr(value, "detach") else value
-    return (
-        np.asarray(value).tolist()
-        if hasattr(value, "__array__")
-        else {"type": type(value).__name__}
-    )
+    if hasattr(value, "__array__"):
+        return np.asarray(value).tolist()
+    return {"type": type(value).__name__}
 
 
 if __name__ == "__main__":

@@ -111,10 +111,7 @@ def print_table(
     rows.sort(key=lambda row: row.errors.get("MAE", np.inf))
     print("\n".join(in_words(rows)))
     make_folder(out.parent)
-    with (
-        atomic_write(out) as temporary,
-        temporary.open("w", encoding="utf-8", newline="") as file_out,
-    ):
+    with atomic_write(out) as new, new.open("w", encoding="utf-8", newline="") as file_out:
         table = csv.writer(file_out)
         table.writerow(["method", *METRICS, "cpu_s", "said"])
         for row in rows:

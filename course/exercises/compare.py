@@ -217,9 +217,7 @@ def _gives(slip: Answer, failure: Failure, order: Callable[[Array], Array] | Non
 
 def _recognised(failures: list[Failure], answer: Answer) -> str:
     """Return the kind of slip that the values show."""
-    if words := _elected(
-        [list(kinds.of_values(failure.found, failure.right)) for failure in failures]
-    ):
+    if words := _elected([list(kinds.of_values(f.found, f.right)) for f in failures]):
         _, found, right = failures[0]
         return (
             words
@@ -254,9 +252,7 @@ def _example(
     order: Callable[[Array], Array] | None,
 ) -> str:
     """Show the smallest input on which the two differ, with what was given and what is right."""
-    first = next(
-        (failure for failure in failures if failure.found.shape != failure.right.shape), None
-    )
+    first = next((f for f in failures if f.found.shape != f.right.shape), None)
     if first:
         return (
             f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum"
@@ -267,9 +263,7 @@ def _example(
     inputs, found, right = smallest(
         function, answer, begin, [names.index(name) for name in whole], within, order
     )
-    given = [
-        f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))
-    ]
+    given = [f"{key} = {text}" for key, x in zip(names, inputs, strict=True) if (text := _text(x))]
     if right.size > SHOWN:  # it cannot be made smaller
         place = tuple(
             np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0]
@@ -323,10 +317,8 @@ def _differs(
 ) -> Failure | None:
     """Return how the two differ on some inputs, if both give arrays of one shape."""
     try:
-        found, right = (
-            numbers(function(*copy.deepcopy(inputs))),
-            numbers(answer(*copy.deepcopy(inputs))),
-        )
+        found = numbers(function(*copy.deepcopy(inputs)))
+        right = numbers(answer(*copy.deepcopy(inputs)))
     except Exception:
         return None
     if found is None or right is None or found.shape != right.shape or same(found, right, within):

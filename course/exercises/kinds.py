@@ -258,10 +258,8 @@ def _changes(x: Any) -> Iterator[tuple[str, Any]]:
         )
         # such as the rotation and the translation of a pose
         if values.ndim == 1 and size in (4, 6):
-            for words, used in {
-                "first": np.arange(size) >= half,
-                "last": np.arange(size) < half,
-            }.items():
+            behind = np.arange(size) >= half
+            for words, used in (("first", behind), ("last", ~behind)):
                 yield f"had 0 in its {words} {half}: are they used?", back(values * used)
         for order in (
             permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ()

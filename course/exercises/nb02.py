@@ -77,10 +77,7 @@ def _a_graph(rng: Rng, k: int) -> tuple:
     pairs = [(2, 1), pairs[0], (2, 3), *pairs[3:]]  # the first one is not camera 0's
     links = {(i, j): poses[i].inverse() @ poses[j] for i, j in pairs}
     # few captures, and wrong
-    return links | {
-        (0, 2): _a_pose(rng),
-        (cameras - 1, 0): _a_pose(rng),
-    }, cameras
+    return links | {(0, 2): _a_pose(rng), (cameras - 1, 0): _a_pose(rng)}, cameras
 
 
 check_poses_of_cameras = Open(poses_of_cameras, _a_graph).with_slips("""

@@ -135,10 +135,7 @@ def _a_volume(rng: Rng, k: int) -> tuple:
     costs = rng.uniform(0, 1, (4, 5 + k % 3, 7 + k % 5)).astype(np.float32 if k % 2 else np.float64)
     costs[rng.uniform(0, 1, costs.shape) < 0.2] = np.nan
     # no pair sees two rays; all spheres cost the same on a third
-    costs[0, :2], costs[1, 0] = (
-        np.nan,
-        0.5,
-    )
+    costs[0, :2], costs[1, 0] = (np.nan, 0.5)
     costs[2, :2] = rng.uniform(0.3, 1, costs[2, :2].shape)
     costs[2, 0, -1], costs[2, 1, 0] = 0.1, 0.2  # the last sphere wins, and the first
     scale = 20 if k % 3 == 1 else 1  # path costs are no shares

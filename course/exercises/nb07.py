@@ -109,15 +109,9 @@ def _some_rays(rng: Rng, k: int) -> tuple:
     away = rng.uniform(1.5, 6, count) * rng.choice([-1, 1], count)
     off[0], off[2] = -0.4, 0.4
     # beyond the last sphere
-    away[[0, 1]], away[[2, 3]] = (
-        -rng.uniform(1.5, 2.5, 2),
-        rng.uniform(1.5, 2.5, 2),
-    )
+    away[[0, 1]], away[[2, 3]] = (-rng.uniform(1.5, 2.5, 2), rng.uniform(1.5, 2.5, 2))
     # just on it, and half a sphere before it
-    px_per_sphere[4:8], away[4:8] = (
-        0.5,
-        (-1, 1, -0.75, 0.75),
-    )
+    px_per_sphere[4:8], away[4:8] = (0.5, (-1, 1, -0.75, 0.75))
     return true, px_per_sphere, off, away, last
 
 
@@ -179,11 +173,7 @@ def _a_step(rng: Rng, k: int) -> tuple:
     step = 1 + 3 * k
     if step == 1:
         # a weight that has never had a gradient
-        mean, square, gradient[1] = (
-            0 * mean,
-            0 * square,
-            0,
-        )
+        mean, square, gradient[1] = (0 * mean, 0 * square, 0)
     return *map(_tensor, (weight, mean, square, gradient)), step, float(rng.uniform(0.01, 0.1))
 
 

@@ -23,11 +23,7 @@ def _some_views(rng: Rng, k: int) -> tuple:
     )
     images[rng.uniform(0, 1, angles.shape) < 0.3] = np.nan
     # rays that no camera sees, and one does
-    images[:, 0, 0], images[1:, 0, 1], images[0, 0, 1] = (
-        np.nan,
-        np.nan,
-        90,
-    )
+    images[:, 0, 0], images[1:, 0, 1], images[0, 0, 1] = (np.nan, np.nan, 90)
     return images, angles, 1.9
 
 

@@ -142,10 +142,8 @@ class Open:
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
         end = "" if said.endswith("\n") else "."
-        print(
-            f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the"
-            " solution."
-        )
+        said = f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint}"
+        print(f"{said} The notebook goes on with the solution.")
         if self.real:
             beside.show(function, self.answer, self.real())
         return self.answer

@@ -84,11 +84,8 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
         left.plot(*ray(around, phi), color=SPHERE, lw=1.6 if phi == 0 else 0.8)
     for theta in range(-180, 180, 45):
         left.plot(*ray(theta, np.linspace(-45, 45, 40)), color=SPHERE, lw=0.8)
-    for end, name in (
-        ((1.5, 0, 0), "x, right"),
-        ((0, 1.5, 0), "z, forward"),
-        ((0, 0, -1.1), "y, down"),
-    ):
+    axes = ((1.5, 0, 0), "x, right"), ((0, 1.5, 0), "z, forward"), ((0, 0, -1.1), "y, down")
+    for end, name in axes:
         left.plot(*zip((0, 0, 0), end, strict=True), color="0.2", lw=1.2)
         left.text(*np.multiply(1.12, end), name, color="0.2", ha="center")
     left.plot(*zip((0, 0, 0), ray(theta_deg, phi_deg), strict=True), color=POINT, lw=2.5)

@@ -43,13 +43,8 @@ def epipolar_plane() -> Figure:
         if up:
             _line(ax, two, on_floor(1.6, 4), color=SECOND, ls=":")
             _line(ax, tip, on_floor(1.6, 4), color=POINT, lw=2)
-            ax.annotate(
-                "miss",
-                (tip + on_floor(1.6, 4)) / 2,
-                (5, 0),
-                textcoords="offset points",
-                color=POINT,
-            )
+            middle = (tip + on_floor(1.6, 4)) / 2
+            ax.annotate("miss", middle, (5, 0), textcoords="offset points", color=POINT)
         else:
             ax.plot(*meet, "o", color=POINT, zorder=3)
         ax.set(xlim=(-1.6, 7.4), ylim=(-0.6, 3.1))

@@ -245,12 +245,10 @@ def explain_ray(
     from omnistereo_tools.output.summary import metres
 
     one, cameras = ray.explain(depth, column, row), len(depth.sweep.rig)
+    rows: list[Any] = [["along"] * cameras]
+    rows += [[f"{kind} {i}" for i in range(cameras)] for kind in ("patch", "image")]
     fig, axes = plt.subplot_mosaic(
-        [
-            ["along"] * cameras,
-            [f"patch {i}" for i in range(cameras)],
-            [f"image {i}" for i in range(cameras)],
-        ],
+        rows,
         figsize=(1.6 * cameras, 4.0),
         height_ratios=[1.2, 0.8, 1],
         layout="constrained",
@@ -258,9 +256,8 @@ def explain_ray(
     fig.suptitle(one.sentence, fontsize=10, wrap=True)
     along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
     along.plot(one.agreement, color="C1", label="agreement")
-    along.plot(
-        [m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1"
-    )
+    modes = one.modes[:3]
+    along.plot([m.sphere for m in modes], [m.agreement for m in modes], "o", color="C1")
     for k, (name, volume) in enumerate((volumes or {}).items()):
         values = np.asarray(volume[row, column], float)
         low, high = np.nanmin(values), np.nanmax(values)
@@ -273,16 +270,14 @@ def explain_ray(
         along.axvline(gt_index[row, column], color="C2", ls="--", label="exact")
     along.set(xlabel="sphere, from far to near", ylim=(-0.2, 1.05))
     along.legend(fontsize=8)
-    spheres = np.arange(depth.grid.num_spheres)
+    inverse_depths = depth.grid.index_to_inverse_depth(np.arange(depth.grid.num_spheres))
     for i, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
         axes[f"patch {i}"].imshow(one.patches[i, nearest], cmap="gray", vmin=0, vmax=255)
         label = "hidden" if one.hidden[i] else "" if one.sees[i] else "not in view"
         axes[f"patch {i}"].set(title=f"camera {i + 1}", xlabel=label, xticks=[], yticks=[])
         T_cam_rig = depth.sweep.rig.T_rig_cam[i].inverse()
         points = depth.grid.rays()[row, column] @ T_cam_rig.R.T
-        uv, valid = camera.project(
-            points + depth.grid.index_to_inverse_depth(spheres)[:, None] * T_cam_rig.t
-        )
+        uv, valid = camera.project(points + inverse_depths[:, None] * T_cam_rig.t)
         axes[f"image {i}"].imshow(np.asarray(image).clip(0, 255).astype(np.uint8), cmap="gray")
         axes[f"image {i}"].plot(*np.where(valid[:, None], uv, np.nan).T, color="yellow", lw=1)
         if valid[nearest]:
@@ -349,14 +344,8 @@ def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
         ax.add_patch(
             Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08)
         )
-        ax.arrow(
-            x,
-            z,
-            0.3 * reach * forward_x,
-            0.3 * reach * forward_z,
-            color=color,
-            head_width=0.05 * reach,
-        )
+        dx, dz = 0.3 * reach * forward_x, 0.3 * reach * forward_z
+        ax.arrow(x, z, dx, dz, color=color, head_width=0.05 * reach)
         ax.plot(x, z, "o", color=color)
         ax.annotate(
             f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color

@@ -241,10 +241,8 @@ def _drives(_: Record) -> str:
 
 
 def _recipe(recipe: SweepNetRecipe) -> str:
-    return (
-        f"{_scale(recipe.as_dict())}, {recipe.optimizer} {recipe.learning_rate:g}, {recipe.steps}"
-        " steps"
-    )
+    optimizer = f"{recipe.optimizer} {recipe.learning_rate:g}"
+    return f"{_scale(recipe.as_dict())}, {optimizer}, {recipe.steps} steps"
 
 
 # ---- The page

@@ -89,10 +89,8 @@ def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> No
         )
         (out / f"{path.stem}.slides.html").write_text(page, encoding="utf-8")
         facts = nb.metadata["omnistereo"]
-        title, learn = (
-            html.escape(f"{nbtools.number(path)} {facts['title']}"),
-            html.escape(facts["learn"]),
-        )
+        title = html.escape(f"{nbtools.number(path)} {facts['title']}")
+        learn = html.escape(facts["learn"])
         entries.append(f'<li><a href="{path.stem}.slides.html">{title}</a>: {learn}</li>')
     index = (TEMPLATE / "list.html").read_text(encoding="utf-8")
     (out / "index.html").write_text(

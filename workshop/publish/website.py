@@ -34,27 +34,11 @@ REDIRECT = (
     '<meta http-equiv="refresh" content="0; url={0}.html">\n'
     '<p>This notebook is now <a href="{0}.html">{0}</a>.</p>\n</html>\n'
 )
-# The figure of each notebook on the first page, by its name in captions.yaml.
-BEST = {
-    "00": "street and depth",
-    "01": "flat views",
-    "02": "pair of pictures",
-    "03": "focus",
-    "04": "raw depth",
-    "05": "before and after",
-    "06": "points",
-    "07": "patches",
-    "08": "snapshots",
-    "09": "errors",
-    "10": "regions",
-    "11": "point cloud",
-    "12": "matches",
-    "13": "own pictures",
-    "14": "witnesses",
-    "15": "lights",
-    "16": "worlds",
-    "17": "mesh",
-}
+# The figures of the notebooks on the first page, in their order, by the names in captions.yaml.
+_FIGURES = ["street and depth", "flat views", "pair of pictures", "focus", "raw depth"]
+_FIGURES += ["before and after", "points", "patches", "snapshots", "errors", "regions"]
+_FIGURES += ["point cloud", "matches", "own pictures", "witnesses", "lights", "worlds", "mesh"]
+BEST = {f"{number:02}": figure for number, figure in enumerate(_FIGURES)}
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
@@ -71,9 +55,8 @@ def build(out: Path) -> int:
             return status
         if (out / "searchindex.js").is_file():
             shutil.rmtree(out)
-        shutil.copytree(
-            html, out, ignore=shutil.ignore_patterns("_sources", ".buildinfo"), dirs_exist_ok=True
-        )
+        ignored = shutil.ignore_patterns("_sources", ".buildinfo")
+        shutil.copytree(html, out, ignore=ignored, dirs_exist_ok=True)
     print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
     return 0
 

@@ -134,12 +134,8 @@ def bench_sgm(width: int, height: int, num: int) -> None:
 def bench_kernels(width: int, height: int, num: int) -> None:
     """Compare warp, kernels and a ZNCC + SGM frame with their definitions, in float32."""
     sweep, images = _rig_and_images(width, height, num)
-    grid, rig, pairs, spheres = (
-        sweep.grid,
-        sweep.rig,
-        camera_pairs("ring", sweep.rig),
-        sweep.blocks()[0],
-    )
+    grid, rig, spheres = sweep.grid, sweep.rig, sweep.blocks()[0]
+    pairs = camera_pairs("ring", rig)
     window, (p1, p2) = default_window(width), penalties(width, num)
     # What each step starts from: normalised images, a block of warped ones, features and a volume.
     normalized = sweep.normalize_images(images)
@@ -147,14 +143,9 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     size = volume_sizes(grid, rig)[0]
     frame = Frame.of(rig, images)
     reduced = frame.reduced(pixels_per_degree(size)).rig
-    shapes = [
-        (CHANNELS, -(-height // 2), -(-width // 2))
-        for width, height in reduced.image_sizes(len(rig))
-    ]
-    features, pixels = (
-        [torch.rand(shape) for shape in shapes],
-        feature_coordinates(reduced, grid, size),
-    )
+    shapes = [(CHANNELS, -(-h // 2), -(-w // 2)) for w, h in reduced.image_sizes(len(rig))]
+    features = [torch.rand(shape) for shape in shapes]
+    pixels = feature_coordinates(reduced, grid, size)
     volume = cost_volume(sweep, images)
     cameras, cells, of_block = len(rig), volume.numel(), warped[0].numel()
     rays, inverse_depths = (
@@ -193,12 +184,8 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     against(
         "SGM", _SGM * cells, partial(sgm, volume, p1, p2), partial(reference.sgm, volume, p1, p2)
     )
-    against(
-        "winner and confidence",
-        _WINNER * cells,
-        partial(index_and_confidence, volume, True),
-        winner,
-    )
+    elect = partial(index_and_confidence, volume, True)
+    against("winner and confidence", _WINNER * cells, elect, winner)
     definition = partial(reference.estimate, normalized, rig, grid, pairs, window, p1, p2)
     against(
         "ZNCC + SGM frame", of_frame, partial(sweep_depth, sweep, images, "zncc+sgm"), definition
@@ -236,9 +223,8 @@ def bench_volumenet(width: int, height: int, num: int) -> None:
 def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray[Any]]]:
     """Return a sweep, with its lookup tables ready, and the images of a frame."""
     data = load_dataset(DATA / "sunny" / "test")
-    sweep = SphereSweep(
-        data.rig, SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth)
-    )
+    grid = SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth)
+    sweep = SphereSweep(data.rig, grid)
     sweep_depth(sweep, data[0].images)
     return sweep, data[0].images
 

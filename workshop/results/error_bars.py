@@ -57,13 +57,8 @@ JUDGED = {
     "aerial": (756, 871),
 }
 KINDS = (("sunny", "cloudy", "sunset"), ("rooms",), ("things",), ("indoor",))
-_ALWAYS: tuple[str, ...] = (
-    "constant",
-    "spread",
-    "spread of the peak",
-    "mass beside the peak",
-    "second mass",
-)
+_ALWAYS: tuple[str, ...] = ("constant", "spread", "spread of the peak")
+_ALWAYS += ("mass beside the peak", "second mass")
 _ALWAYS += ("range of 3 x 3 rays", "range of 7 x 7 rays", "index", "confidence")
 # Temperature of costs after SGM: of .1 to 8, the truth is likeliest at 2 for ZNCC; the networks'
 # costs take the same. VolumeNet's probabilities are right as they are. The range swept halves the
@@ -174,9 +169,7 @@ def fit(rays: Rays, name: str) -> dict[str, dict[str, float]]:
             held = np.bincount(of_group, y <= X @ values, 6) / np.bincount(of_group, minlength=6)
             shares = np.clip(shares + _PULL * (share - held), 0.3, 0.995)
             values = quantile_weights(X, y, shares[of_group])
-        found[kind] = {
-            key: round(float(value), 4) for key, value in zip(names, values, strict=True)
-        }
+        found[kind] = {key: round(float(x), 4) for key, x in zip(names, values, strict=True)}
     return found
 
 

@@ -116,10 +116,7 @@ def _least(
 ) -> list[list[float]]:
     """Return the least wall, CPU and memory of each clone, run by turns."""
     found = [[run(clone) for clone in clones] for _ in range(runs)]
-    return [
-        [min(values) for values in zip(*of_clone, strict=True)]
-        for of_clone in zip(*found, strict=True)
-    ]
+    return [[min(x) for x in zip(*of_clone, strict=True)] for of_clone in zip(*found, strict=True)]
 
 
 def _print_pair(name: str, goals: Sequence[float], both: Sequence[Sequence[float]]) -> None:
@@ -146,10 +143,7 @@ def _run_command(clone: Path, command: str, out: Path) -> list[float]:
     start, log = time.perf_counter(), out / "log.txt"
     with log.open("wb") as file:
         child = subprocess.Popen(
-            [_python(clone), "-m", "omnistereo_tools", *typed],
-            cwd=clone,
-            stdout=file,
-            stderr=file,
+            [_python(clone), "-m", "omnistereo_tools", *typed], cwd=clone, stdout=file, stderr=file
         )
         _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from course.__main__ import OUT
@@ -51,13 +52,13 @@ class Case:
     where: str = ""  # which frame, if another than that drawn
 
 
-def _turned(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _turned(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     turn = np.radians(np.exp(rng.uniform(np.log(0.5), np.log(20)))) * _direction(rng)
     return Case(rotate_camera(rig, k, turn), images, ("turned",), (k,), rig)
 
 
-def _shifted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _shifted(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     radius = float(np.linalg.norm(rig.centers - rig.centers.mean(axis=0), axis=1).mean())
     shift = radius * np.exp(rng.uniform(np.log(0.1), np.log(1.0))) * _direction(rng)
@@ -65,26 +66,26 @@ def _shifted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     return Case(rig.with_poses(poses), images, ("displaced", "late or displaced"), (k,), rig)
 
 
-def _swapped(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _swapped(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
     a, b = (int(k) for k in rng.choice(len(rig), 2, replace=False))
     images[a], images[b] = images[b], images[a]
     return Case(rig, images, ("swapped",), tuple(sorted((a, b))))
 
 
-def _upside_down(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _upside_down(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     images[k] = images[k][::-1, ::-1]
     return Case(rig, images, ("rotated",), (k,))
 
 
-def _mirrored(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _mirrored(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     images[k] = images[k][:, ::-1]
     return Case(rig, images, ("mirrored",), (k,))
 
 
-def _late(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _late(rng: Generator, data: Dataset, number: int) -> Case:
     name = ("drive", "sunny")[int(rng.integers(2))]  # what moves: streets only
     data = _data(name, "test" if name == "drive" else "train")
     number = int(rng.integers(2, len(data) - 2))
@@ -94,7 +95,7 @@ def _late(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     return Case(rig, images, ("late or displaced",), (k,), where=f"{name} {number}, {later}")
 
 
-def _wrong_lens(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _wrong_lens(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     scale = float(np.exp(rng.choice([-1, 1]) * rng.uniform(0.03, 0.2)))
     wrong = range(len(rig)) if rng.random() < 0.25 else (k,)
@@ -102,30 +103,30 @@ def _wrong_lens(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     return Case(replace(rig, cameras=tuple(cameras)), images, ("lens",), tuple(wrong))
 
 
-def _wrong_unit(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _wrong_unit(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
     scaled = scale_translations(rig, float(rng.choice([1e-3, 1e-2, 1e2, 1e3])))
     return Case(scaled, images, ("unit",))
 
 
-def _wrong_size(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _wrong_size(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, k = _start(rng, data, number)
     images[k] = images[k][::2, ::2]
     return Case(rig, images, ("size",), (k,))
 
 
-def _inverted(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _inverted(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
     inverted = rig.with_poses([pose.inverse() for pose in rig.T_rig_cam])
     return Case(inverted, images, ("poses mixed up",))
 
 
-def _nothing(rng: np.random.Generator, data: Dataset, number: int) -> Case:
+def _nothing(rng: Generator, data: Dataset, number: int) -> Case:
     rig, images, _ = _start(rng, data, number)
     return Case(rig, images, ("nothing wrong",), (), rig)
 
 
-PLANTED: dict[str, Callable[[np.random.Generator, Dataset, int], Case]] = {
+PLANTED: dict[str, Callable[[Generator, Dataset, int], Case]] = {
     "nothing wrong": _nothing,
     "one camera turned by 0.5 to 20°": _turned,
     "one camera shifted by 0.1 to 1 radius": _shifted,
@@ -140,16 +141,14 @@ PLANTED: dict[str, Callable[[np.random.Generator, Dataset, int], Case]] = {
 }
 
 
-def _start(
-    rng: np.random.Generator, data: Dataset, number: int
-) -> tuple[Rig, list[NDArray[Any]], int]:
+def _start(rng: Generator, data: Dataset, number: int) -> tuple[Rig, list[NDArray[Any]], int]:
     """Return rig and pictures of a frame, halved, and a camera."""
     frame = data[number]
     small = frame.reduced(_PX_PER_DEG)
     return small.rig, list(small.images), int(rng.integers(len(small.rig)))
 
 
-def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+def _direction(rng: Generator) -> NDArray[np.float64]:
     v = rng.normal(size=3)
     return np.asarray(v / np.linalg.norm(v), np.float64)
 

@@ -47,10 +47,7 @@ def shares(size: float, method: str) -> tuple[float, list[float]]:
             rng = np.random.default_rng(number)
             builder, light, _ = kind(rng)
             scene = Scene(without_obstacles(np.concatenate(builder.primitives), rig, 0.05), light)
-            views = [
-                scene.image(camera, pose)
-                for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True)
-            ]
+            views = list(map(scene.image, rig.cameras, rig.T_rig_cam))
             depth = estimate_depth(Frame.of(rig, develop(views, rig.cameras, rng)), grid, method)
             found.append(depth.inverse_depth)
             true.append(scene.inverse_depth_along(grid.rays()))

@@ -70,9 +70,8 @@ def export_weights(
         folder / f"{file_name(recipe)}.{ending}" for ending in ("safetensors", "csv", "md")
     )
     rows = read_log(run / LOG, recipe.steps)
-    save_tensors(
-        weights, {key: value.half() if half else value for key, value in tensors.items()}, metadata
-    )
+    stored = {key: x.half() if half else x for key, x in tensors.items()}
+    save_tensors(weights, stored, metadata)
     write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))
     write_text(card, _model_card(weights, recipe, metadata, rows, half))
     print(f"written: {weights}, {curve.name}, {card.name}")

@@ -54,9 +54,7 @@ def print_table(recording: Path, data: str) -> None:
             right_rays(estimates.frame(n).inverse_depth, truth.frame(n).inverse_depth, moving[n])
             for n in found
         ]
-        result[name] = {
-            band: float(np.nanmean([share[band] for share in shares])) for band in shares[0]
-        }
+        result[name] = {band: float(np.nanmean([s[band] for s in shares])) for band in shares[0]}
     result["mesh"] = _mesh_f(recording / "world", found, true, truth, frames.grid)
     print(json.dumps(result, indent=1))
 
@@ -150,16 +148,12 @@ def right_rays(
         depth = 1 / truth
         right = np.abs(np.nan_to_num(1 / inverse_depth, nan=np.inf) / depth - 1) < RIGHT
     near = (depth < 25) & ~moving
-    bands = {
-        "all that stands": near,
-        "at edges": near & _edges(truth),
-        "nearer than 8 m": near & (depth < 8),
-    }
+    bands = {"all that stands": near, "at edges": near & _edges(truth)}
+    bands |= {"nearer than 8 m": near & (depth < 8)}
     bands |= {"8 to 15 m": near & (depth >= 8) & (depth < 15), "15 to 25 m": near & (depth >= 15)}
     bands["driving cars"] = (depth < 25) & moving
     return {
-        name: 100 * float(right[mask].mean()) if mask.any() else np.nan
-        for name, mask in bands.items()
+        k: 100 * float(right[mask].mean()) if mask.any() else np.nan for k, mask in bands.items()
     }
 
 
