@@ -71,13 +71,8 @@ def nbval(path):
     """Run nbval as `make test` does, with our comparison: for each cell, did it pass?"""
     shutil.copy(Path(notebook_comparison.__file__), path.parent / "conftest.py")
     sanitize = nbtools.ROOT / "tests" / "nbval_sanitize.cfg"
-    options = [
-        "--nbval",
-        "--nbval-current-env",
-        f"--nbval-sanitize-with={sanitize}",
-        "-rA",
-        "--color=no",
-    ]
+    options = ["--nbval", "--nbval-current-env", f"--nbval-sanitize-with={sanitize}"]
+    options += ["-rA", "--color=no"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, "-p", "no:cacheprovider", path.name],
         cwd=path.parent,

@@ -50,13 +50,8 @@ def photograph(page, margin, pose, blur=0.7):
     offset = np.stack([u, v], -1) - CENTER
     r = np.linalg.norm(offset, axis=-1)
     theta = r / F
-    rays = np.stack(
-        [
-            *np.moveaxis(offset / np.maximum(r, 1e-9)[..., None] * np.sin(theta)[..., None], -1, 0),
-            np.cos(theta),
-        ],
-        -1,
-    )
+    across = offset / np.maximum(r, 1e-9)[..., None] * np.sin(theta)[..., None]
+    rays = np.concatenate([across, np.cos(theta)[..., None]], -1)
     normal = pose.R[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (pose.t @ normal) / (rays @ normal)

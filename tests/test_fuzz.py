@@ -205,14 +205,8 @@ def ocam_poses(folder):
     (folder / "rig").mkdir()
     for i in (1, 2, 3, 4):
         (folder / "rig" / f"ocam{i}.txt").write_text(OCAM_TXT)
-    return {
-        "poses": (
-            "rig/poses.txt",
-            POSES_TXT,
-            lambda path: read_any_rig(path.parent, "cm"),
-            check_rig,
-        )
-    }
+    checked = lambda path: read_any_rig(path.parent, "cm"), check_rig
+    return {"poses": ("rig/poses.txt", POSES_TXT, *checked)}
 
 
 def corners(folder):
@@ -231,14 +225,8 @@ def data_set(folder):
         (folder / "set" / f"cam{k}").mkdir(parents=True)
         (folder / "set" / f"cam{k}" / "0001.png").write_bytes(b"")
     write = json.dumps(omnimvs(dataset={"truth": "."}))
-    return {
-        "data set": (
-            "set/config.yaml",
-            write,
-            lambda path: osl.load_dataset(path.parent).rig,
-            check_rig,
-        )
-    }
+    checked = lambda path: osl.load_dataset(path.parent).rig, check_rig
+    return {"data set": ("set/config.yaml", write, *checked)}
 
 
 def tensors(folder):
@@ -332,13 +320,8 @@ def records():
     config = {"width": 96, "height": 24, "num_spheres": 12, "rig": "own"}
     method = {"cost": "zncc", "aggregate": "sgm", "window": None}
     frames = {"sunny": {"00001": {"zncc+sgm": errors}, "00002": {"zncc+sgm": errors}}}
-    record = {
-        "config": config,
-        "methods": {"zncc+sgm": method},
-        "data": {},
-        "weights": {},
-        "frames": frames,
-    }
+    record = {"config": config, "methods": {"zncc+sgm": method}, "frames": frames}
+    record |= {"data": {}, "weights": {}}
     return {"results": ("results.json", json.dumps(record), read_record, check_results)}
 
 

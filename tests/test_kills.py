@@ -91,27 +91,16 @@ def recording(server, record, tmp_path_factory):
 def command(request, data, corners, record):
     """Return the command line that writes into a folder."""
     calibrate = ["calibrate", corners, "--board", "12x10", "--square", 0.06]
+    methods = ("zncc", "zncc,window=3", "zncc+sgm")
     lines = {
         "depth": ["depth", "--rig", data, *SMALL, "--out"],
         "recording": record,
         "calibrate": [*calibrate, "--out"],
-        "evaluate": [
-            "evaluate",
-            "--sets",
-            data,
-            "--methods",
-            "zncc",
-            "zncc,window=3",
-            "zncc+sgm",
-            "--out",
-        ],
+        "evaluate": ["evaluate", "--sets", data, "--methods", *methods, "--out"],
         "render": ["render", "sunny/test", "--frames", *range(701, 741), "--out"],
     }
-    train = [
-        "recipe",
-        data,
-        json.dumps({k: v for k, v in MCCNN.as_dict().items() if k != "network"}),
-    ]
+    recipe = {k: v for k, v in MCCNN.as_dict().items() if k != "network"}
+    train = ["recipe", data, json.dumps(recipe)]
     if request.param == "world":
         whole = request.getfixturevalue("recording")
         # It writes into the recording.

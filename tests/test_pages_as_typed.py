@@ -68,10 +68,8 @@ def test_every_command_is_run_or_marked():
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory):
     """A copy of the clone, its environment installed; data and compiled library are links."""
-    folder, linked = (
-        tmp_path_factory.mktemp("copy") / "omnistereo",
-        ("data_samples", "omnistereo_"),
-    )
+    folder = tmp_path_factory.mktemp("copy") / "omnistereo"
+    linked = ("data_samples", "omnistereo_")
     tracked = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -198,10 +196,8 @@ def _run_until_stopped(line, folder, shell):
 
 
 def _is_of_the_clone(line):
-    return (
-        line.startswith(("make ", ".venv", "python -m course", "python -m workshop"))
-        or line in BLOCKS
-    )
+    ours = ("make ", ".venv", "python -m course", "python -m workshop")
+    return line.startswith(ours) or line in BLOCKS
 
 
 def _to_run(command):

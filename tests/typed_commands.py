@@ -17,11 +17,8 @@ from workshop import __main__ as workshop
 from workshop import render
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [
-    "README.md",
-    "CONTRIBUTING.md",
-    *sorted(f"book/{path.name}" for path in ROOT.glob("book/*.md")),
-]
+PAGES = ["README.md", "CONTRIBUTING.md"]
+PAGES += sorted(f"book/{path.name}" for path in ROOT.glob("book/*.md"))
 HELP = [
     *(f"omnistereo {name}" for name in cli.COMMANDS),
     "python -m course",
@@ -58,11 +55,8 @@ def commands_of(page: str) -> list[Typed]:
     """Return the commands of a page or of a command's help, in their order."""
     if page in HELP:
         examples = re.findall(r"^  ((?:omnistereo|python -m) .*)$", help_of(page), re.MULTILINE)
-        blender = (
-            ("needs the environment of Blender", f"{page} --help")
-            if "render" in page
-            else (None, None)
-        )
+        needs = ("needs the environment of Blender", f"{page} --help")
+        blender = needs if "render" in page else (None, None)
         return [Typed(f"{page} --help", example, "sh", *blender) for example in examples]
     text = (
         "\n\n".join(_markdown(ROOT / page))

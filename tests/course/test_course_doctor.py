@@ -53,10 +53,8 @@ def test_ctrl_c_is_one_line(monkeypatch, capsys):
 def test_without_the_pins(healthy, capsys):
     (healthy / "environment.txt").unlink()
     assert check_clone() is False
-    assert (
-        "FAIL  environment.txt is missing: git checkout environment.txt\n"
-        in capsys.readouterr().out
-    )
+    said = capsys.readouterr().out
+    assert "FAIL  environment.txt is missing: git checkout environment.txt\n" in said
 
 
 def test_a_package_that_is_missing_or_another_version(healthy, capsys):
@@ -86,10 +84,8 @@ def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
         assert "manifest.json is broken: git checkout data_samples" in capsys.readouterr().out
     manifest.unlink()
     assert check_clone(short=True) is False
-    assert (
-        "manifest.json is missing from data_samples: git checkout data_samples"
-        in capsys.readouterr().out
-    )
+    said = capsys.readouterr().out
+    assert "manifest.json is missing from data_samples: git checkout data_samples" in said
 
 
 @pytest.fixture(scope="module")

@@ -200,10 +200,8 @@ def checked(tmp_path_factory):
         patch.setattr(student, "MAX_PROCESSES", 20)
         patch.setattr(handin, "ANSWER_S", 3)
         patch.setattr(handin, "ENVIRONMENT", [environment])
-        assert (
-            main(["check", str(folder), "--out", str(out), "--memory", "0.7", "--seconds", "15"])
-            == 0
-        )
+        limits = ["--memory", "0.7", "--seconds", "15"]
+        assert main(["check", str(folder), "--out", str(out), *limits]) == 0
     with (out / "scores.csv").open(encoding="utf-8", newline="") as file:
         return {row["file"]: row for row in csv.DictReader(file)}, folder, out
 
@@ -257,10 +255,8 @@ def test_nothing_that_a_student_has_started_is_left(checked):
 
 def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_deep(checked):
     rows, _, out = checked
-    assert (
-        "code cell 3 stopped with OutOfTime: no answer in 5 s"
-        in rows["leaves things.ipynb"]["notes"]
-    )
+    notes = rows["leaves things.ipynb"]["notes"]
+    assert "code cell 3 stopped with OutOfTime: no answer in 5 s" in notes
     assert list((out / "temporary").iterdir()) == []
 
 
@@ -303,15 +299,8 @@ def test_a_class_resumes(checked, monkeypatch, capsys):
     (out / "mute.ipynb.json").unlink()
     os.mkfifo(out / "mute.ipynb.json")
     handin.check(folder, out)
-    assert set(ran) - set(UNREADABLE) == {
-        "bad",
-        "terms",
-        "dies",
-        "eats",
-        "mute",
-        "z spoils",
-        "\udcff@",
-    }
+    again = {"bad", "terms", "dies", "eats", "mute", "z spoils", "\udcff@"}
+    assert set(ran) - set(UNREADABLE) == again
     assert "good.ipynb: notebook 04_zncc" in capsys.readouterr().out
 
 
@@ -365,11 +354,8 @@ def test_pipes_and_links_in_the_clone_are_not_copied(tmp_path, monkeypatch):
 
 
 def test_a_student_has_every_package_of_the_clone():
-    packages = {path.parent.name for path in nbtools.ROOT.glob("[!.]*/*.py")} - {
-        "tests",
-        "book",
-        "out",
-    }
+    packages = {path.parent.name for path in nbtools.ROOT.glob("[!.]*/*.py")}
+    packages -= {"tests", "book", "out"}
     assert {"omnistereo_lib", "course"} <= packages <= set(student.COPIED)
 
 
@@ -425,10 +411,8 @@ def test_a_folder_without_notebooks(tmp_path):
 
 def answered(function, *inputs):
     """What the judge gets of a function's answer, after the way there and back."""
-    reply = {
-        "value": student.in_json(function(*inputs)),
-        "arguments": [student.in_json(x) for x in inputs],
-    }
+    value = student.in_json(function(*inputs))
+    reply = {"value": value, "arguments": [student.in_json(x) for x in inputs]}
     return handin.repeat(json.loads(json.dumps([reply])))(*inputs)
 
 

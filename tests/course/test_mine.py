@@ -55,10 +55,8 @@ def test_a_later_notebook_runs_what_was_kept_and_the_solution_elsewhere(run, cap
     )
     checked(run, nb04.check_zncc_costs, source.replace("(1 - zncc) / 2", "(1 - zncc) * half"))
     said = capsys.readouterr().out
-    assert (
-        "window_sums: yours to write. Until it is right, the cells below run with the solution."
-        in said
-    )
+    until = "Until it is right, the cells below run with the solution."
+    assert f"window_sums: yours to write. {until}" in said
     assert "in this notebook, kept in mine/nb04.py. The notebook goes on with yours." in said
     kept = Source.of((mine.folder() / "nb04.py").read_text())
     assert list(kept.pieces) == ["both_see", "half", "zncc_costs"]
@@ -83,11 +81,8 @@ def test_nothing_is_kept_elsewhere(tmp_path, monkeypatch, capsys):
 
 def test_what_hangs_on_the_notebook_is_not_kept_and_says_why(run, capsys):
     run("table = np.zeros((99, 99))")
-    checked(
-        run,
-        nb03.check_look_up,
-        nb03.check_look_up.source.replace("a, b = u", "table.sum(); a, b = u"),
-    )
+    changed = nb03.check_look_up.source.replace("a, b = u", "table.sum(); a, b = u")
+    checked(run, nb03.check_look_up, changed)
     assert (
         "not kept for later notebooks: it uses `table`, a ndarray of the notebook"
         in capsys.readouterr().out

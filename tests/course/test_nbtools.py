@@ -103,11 +103,8 @@ def with_output(kind, source="f()", **content):
     return cell
 
 
-ERROR = {
-    "ename": "ValueError",
-    "evalue": "no",
-    "traceback": ["File /Users/someone/x.py", "ValueError: no"],
-}
+ERROR = {"ename": "ValueError", "evalue": "no"}
+ERROR |= {"traceback": ["File /Users/someone/x.py", "ValueError: no"]}
 BAD = {  # what is planted, what the guard must say
     "not run": (good(code("f()", count=None)), "not run in order"),
     "run twice": (good(code("f()", count=3)), "not run in order"),
@@ -223,9 +220,6 @@ def test_a_new_caption_needs_no_run():
     stale.source = 'show(fig, "04 one ray")'
     (cell,) = nbtools.clean(notebook(stale)).cells
     entry = captions()["04 one ray"]
-    assert (
-        cell.outputs[0].data["text/plain"]
-        == cell.outputs[0].metadata["image/png"]["alt"]
-        == entry["alt"]
-    )
+    shown = cell.outputs[0]
+    assert shown.data["text/plain"] == shown.metadata["image/png"]["alt"] == entry["alt"]
     assert cell.outputs[1].data["text/markdown"] == f"*Figure:* {entry['caption']}"

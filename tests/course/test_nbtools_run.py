@@ -32,23 +32,16 @@ def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
     cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
     assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
     assert cells[1].outputs[0].metadata["image/png"]["alt"] == captions()["04 one ray"]["alt"]
-    assert (
-        cells[1].outputs[1].data["text/markdown"]
-        == f"*Figure:* {captions()['04 one ray']['caption']}"
-    )
+    caption = captions()["04 one ray"]["caption"]
+    assert cells[1].outputs[1].data["text/markdown"] == f"*Figure:* {caption}"
     assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
 
 
 @pytest.mark.parametrize(
     ("source", "budget", "said"),
-    [
-        ("1 / 0", 60, "ZeroDivisionError"),
-        ("pass", 0, "its budget is 0 s"),
-    ],
+    [("1 / 0", 60, "ZeroDivisionError"), ("pass", 0, "its budget is 0 s")],
 )
-def test_run_keeps_the_file_as_it_was_when_something_is_wrong(
-    stand_in, capsys, source, budget, said
-):
+def test_run_keeps_the_file_when_something_is_wrong(stand_in, capsys, source, budget, said):
     nb = notebook(code(SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
     path = write(stand_in / "tiny.ipynb", nb)
     before = path.read_bytes()

@@ -129,14 +129,8 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
     picture, below = shown
     row, column, figure = below.children
     before = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
-    clicked[0](
-        {
-            "relativeX": 300.0,
-            "relativeY": 149.9,
-            "boundingRectWidth": 640.0,
-            "boundingRectHeight": 160.0,
-        }
-    )
+    size = {"boundingRectWidth": 640.0, "boundingRectHeight": 160.0}
+    clicked[0]({"relativeX": 300.0, "relativeY": 149.9} | size)
     after = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
     assert (row.value, column.value) == (7, 15) and drawn[0] == (2, 5) and drawn[-1] == (7, 15)
     assert before.shape == (24, 96, 3) and (before != after).any()

@@ -12,9 +12,7 @@ from course import exercises, nbtools
 from course.exercises.compare import RIGHT, numbers
 from course.exercises.opened import Open, changed
 
-OPENED = {
-    f.name: f for path in nbtools.notebooks() for f in exercises.functions(nbtools.number(path))
-}
+OPENED = {f.name: f for nb in nbtools.notebooks() for f in exercises.functions(nbtools.number(nb))}
 each = pytest.mark.parametrize("function", OPENED.values(), ids=OPENED)
 
 

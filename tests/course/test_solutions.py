@@ -45,10 +45,8 @@ STUB = "def double(x):\n    return ...\n\n\nprint(double(2))"
 def course(tmp_path):
     """The path of a notebook with one stub."""
     printed = new_output("stream", name="stdout", text="Ellipsis\n")
-    cells = [
-        new_markdown_cell("Double it."),
-        new_code_cell(STUB, outputs=[printed], execution_count=1),
-    ]
+    stub = new_code_cell(STUB, outputs=[printed], execution_count=1)
+    cells = [new_markdown_cell("Double it."), stub]
     path = tmp_path / "00_tiny.ipynb"
     nbformat.write(new_notebook(cells=cells), path)
     return path

@@ -44,10 +44,8 @@ def test_paper_gets_dark_ink_light_and_a_photograph_stays():
 
 def test_a_line_keeps_its_hue_and_is_seen_on_dark_paper():
     dark = dark_mode.for_dark_page(np.tile(np.uint8([31, 119, 180]), (4, 4, 1)))[0, 0]
-    hue = [
-        cv2.cvtColor(np.uint8([[color]]), cv2.COLOR_RGB2HSV)[0, 0, 0]
-        for color in ([31, 119, 180], dark)
-    ]
+    colors = np.uint8([[[31, 119, 180], dark]])
+    hue = [*cv2.cvtColor(colors, cv2.COLOR_RGB2HSV)[0, :, 0]]
     assert abs(int(hue[0]) - int(hue[1])) <= 2
     assert dark.max() > 150
 
@@ -110,10 +108,7 @@ def test_a_click_on_a_panorama_is_stored_with_its_figure(recorded):
     plot.pick_ray(lambda row, column: plt.figure(figsize=(2, 1)), np.full((8, 32), 100.0), 2, 5)
     assert [
         slider["name"] for slider in json.loads((recorded / "index.json").read_text())[0]["sliders"]
-    ] == [
-        "row",
-        "column",
-    ]
+    ] == ["row", "column"]
     still = Image.open(io.BytesIO((recorded / "0-row-2.webp").read_bytes()))
     # the panorama above the figure
     assert still.width / still.height == pytest.approx(900 / (225 + 450), rel=0.1)
@@ -128,10 +123,8 @@ def test_a_live_figure_without_stills(recorded):
 
 
 def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_page):
-    rig, grid = (
-        scene.rig(width=80, height=64),
-        osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6),
-    )
+    rig = scene.rig(width=80, height=64)
+    grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6)
     images = [np.full((64, 80), 200, np.uint8)] * 4
     depth = scene.true_depth(rig, grid, images)
     plot.explore(depth, max_depth=50)

@@ -12,9 +12,7 @@ PAGE = (nbtools.ROOT / "book" / "teaching.md").read_text(encoding="utf-8")
 SECTIONS = {
     part.partition(" ")[0]: part for part in re.split(r"^## (?=\d)", PAGE, flags=re.MULTILINE)[1:]
 }
-NOTEBOOKS = {
-    nbtools.number(path): nbformat.read(path, as_version=4) for path in nbtools.notebooks()
-}
+NOTEBOOKS = {nbtools.number(nb): nbformat.read(nb, as_version=4) for nb in nbtools.notebooks()}
 
 
 def numbers(nb):

@@ -15,15 +15,8 @@ R = rotation_from_axis_angle([0.4, -0.7, 0.2])  # object → world
 
 def primitive(shape, center=CENTER, half=HALF, R=R, **fields):
     one = np.zeros(1, PRIMITIVE)
-    settings = {
-        "shape": shape,
-        "center": center,
-        "half": half,
-        "rotation": R.T,
-        "roundness": 1,
-        "ripple": 1.0,
-    }
-    settings |= {"dark": 0.5, "light": 0.5, "scale": 1.0}
+    settings = {"shape": shape, "center": center, "half": half, "rotation": R.T}
+    settings |= {"roundness": 1, "ripple": 1.0, "dark": 0.5, "light": 0.5, "scale": 1.0}
     for name, value in (settings | fields).items():
         one[name] = value
     return one
@@ -208,19 +201,10 @@ def test_textures_fade_to_their_mean_under_a_large_pixel(texture):
     world, out = scene(wall, ambient=1 / 0.7), {}
     for pixel in (1e-4, 3.0):
         values = np.zeros(x.shape, np.float32)
-        rays = towards(*np.stack([x, y, np.full(x.shape, 2.0)], -1).reshape(-1, 3)).reshape(
-            40, 40, 3
-        )
-        look(
-            world.primitives,
-            world._tree,
-            world.light,
-            np.zeros(3),
-            rays,
-            np.ones(x.shape, bool),
-            pixel,
-            values,
-        )
+        points = np.stack([x, y, np.full(x.shape, 2.0)], -1)
+        rays = towards(*points.reshape(-1, 3)).reshape(points.shape)
+        seen = world.primitives, world._tree, world.light
+        look(*seen, np.zeros(3), rays, np.ones(x.shape, bool), pixel, values)
         out[pixel] = values
     if texture == textures.PLAIN:
         assert np.ptp(out[1e-4]) < 1e-6

@@ -84,10 +84,7 @@ def test_cameras_agree_at_the_true_depth(frames):
     rays = osl.SphereGrid(128, 32).rays()
     better = []
     for frame in frames[:4]:
-        seen = [
-            frame.scene.image(*view)
-            for view in zip(frame.rig.cameras, frame.rig.T_rig_cam, strict=True)
-        ]
+        seen = list(map(frame.scene.image, frame.rig.cameras, frame.rig.T_rig_cam))
         inverse = frame.inverse_depth_along(rays)
         points = [rays / np.maximum(scale * inverse, 1e-3)[..., None] for scale in (1, 2.5)]
         right, wrong = (_spread(frame.rig, seen, at) for at in points)

@@ -116,11 +116,8 @@ def test_where_nothing_is_there_are_negatives(data):
     counts = np.bincount(np.rint(samples.use(frame)).astype(int).ravel(), minlength=24)
     drawn, matched = set(), set()
     for seed in range(80):
-        drawn |= set(
-            samples._draw_spheres(samples.use(frame), frame, np.random.default_rng(seed))[
-                1
-            ].tolist()
-        )
+        rng = np.random.default_rng(seed)
+        drawn |= {*samples._draw_spheres(samples.use(frame), frame, rng)[1].tolist()}
     for seed in range(8):
         _, spheres = samples._draw_spheres(samples.use(frame), frame, np.random.default_rng(seed))
         batch = samples.micro_batch(frame, np.random.default_rng(seed), augment=False)
@@ -150,10 +147,8 @@ def test_the_loss_is_the_balanced_cross_entropy(data):
     cost = torch.cat(cost).double()
     expected = -0.5 * (1 - cost[label == 0]).log().mean() - 0.5 * cost[label == 1].log().mean()
     assert loss.item() == pytest.approx(expected.item(), abs=1e-5)
-    wrong = (
-        0.5 * (cost[label == 0] > 0.5).double().mean()
-        + 0.5 * (cost[label == 1] <= 0.5).double().mean()
-    )
+    far, near = cost[label == 0] > 0.5, cost[label == 1] <= 0.5
+    wrong = 0.5 * far.double().mean() + 0.5 * near.double().mean()
     assert error.item() == pytest.approx(wrong.item(), abs=1e-5)
 
 

@@ -26,10 +26,8 @@ from workshop.results.ship import _hours, export_weights
 
 def rows_of(recipe, out, data, **options):
     rows = []
-    assert (
-        train(recipe, out, data, precision="float32", on_step=rows.append, **options)
-        == out / WEIGHTS
-    )
+    weights = train(recipe, out, data, precision="float32", on_step=rows.append, **options)
+    assert weights == out / WEIGHTS
     return rows
 
 
@@ -98,12 +96,8 @@ def command(data, out, *settings, network="sweepnet"):
 
 def train_as(rank, port, *arguments):
     """Train as one of two processes, with the variables that torchrun sets."""
-    os.environ |= {
-        "RANK": str(rank),
-        "WORLD_SIZE": "2",
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": str(port),
-    }
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2"}
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     torch.set_num_threads(1)
     train(*arguments, precision="float32")
 
@@ -196,9 +190,7 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, finished, tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["gone", "rubbish", "of another run"])
-def test_a_finished_run_whose_weights_are_not_its_own_gets_them_back(
-    data, finished, tmp_path, damage
-):
+def test_a_finished_run_with_other_weights_gets_its_own_back(data, finished, tmp_path, damage):
     run = shutil.copytree(finished[0], tmp_path / "run")
     before = {path.name: path.read_bytes() for path in run.iterdir()}
     if damage == "gone":
@@ -297,10 +289,8 @@ def test_a_step_that_is_not_finite_is_skipped(data, tmp_path, monkeypatch):
     before = stopped(recipe, tmp_path, data, steps=1)[0]["loss"]
     state = load_tensors(tmp_path / STATE)[0]
     assert np.isnan(stopped(recipe, tmp_path, data, steps=1)[0]["loss"]) and np.isfinite(before)
-    assert all(
-        torch.equal(tensor, state[name])
-        for name, tensor in load_tensors(tmp_path / STATE)[0].items()
-    )
+    stored = load_tensors(tmp_path / STATE)[0]
+    assert all(torch.equal(tensor, state[name]) for name, tensor in stored.items())
     assert (tmp_path / LOG).read_text().splitlines()[2].startswith("1,,")
     spoiled.append(2)
     with refused("was not finite in 2 of 3 steps"):
@@ -328,10 +318,8 @@ def test_bad_data(data, tmp_path):
             if path.name not in (name, "config.yaml"):
                 (copy / path.name).symlink_to(path)
         rig = osl.load_rig(data)
-        osl.save_rig(
-            osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6 if name else None),
-            copy / "config.yaml",
-        )
+        nearest = 0.6 if name else None
+        osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=nearest), copy / "config.yaml")
     with refused("has 0 frames with ground truth"):
         losses(SWEEPNET, tmp_path / "out", tmp_path / "truth")
     with refused("does not state its nearest depth"):

@@ -55,12 +55,8 @@ def test_panoramas_are_recognised(two, tmp_path):
     theta, phi = np.meshgrid(
         np.linspace(-np.pi, np.pi, width), np.linspace(-np.pi / 2, np.pi / 2, height)
     )
-    sky = (
-        120
-        + 60 * np.sin(3 * theta) * np.cos(phi)
-        + 40 * np.sin(phi)
-        + 30 * np.cos(theta) * np.cos(phi)
-    )
+    around = 60 * np.sin(3 * theta) + 30 * np.cos(theta)
+    sky = 120 + around * np.cos(phi) + 40 * np.sin(phi)
     panorama = sky.clip(0, 255).astype(np.uint8)
     assert is_equirectangular(panorama) and is_equirectangular(np.stack([panorama] * 3, -1))
     assert not is_equirectangular(np.hstack(two[1]))  # two circles

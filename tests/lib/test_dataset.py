@@ -48,10 +48,8 @@ def refuses(message, folder, *arguments, **options):
 def test_the_public_layout(tmp_path):
     data = osl.load_dataset(save(tmp_path, [1, 2, 17]))
     assert len(data) == 3 and len(data.rig) == 4
-    assert (
-        repr(data)
-        == f"Dataset({tmp_path.name}: 3 frames, 3 with ground truth, 4 cameras of 40 × 32)"
-    )
+    holds = "3 frames, 3 with ground truth, 4 cameras of 40 × 32"
+    assert repr(data) == f"Dataset({tmp_path.name}: {holds})"
     frame = data[1]
     assert frame.number == 2 and [image[0, 0] for image in frame.images] == [12, 22, 32, 42]
     np.testing.assert_array_equal(frame.inverse_depth, GT + 2)
@@ -133,10 +131,8 @@ def test_a_frame_that_one_camera_lacks(tmp_path):
 def test_what_is_missing_is_named(tmp_path):
     refuses("empty", tmp_path / "empty")
     refuses(r"has no frames; expected cam1.0001.png", save(tmp_path / "no_frames", []))
-    refuses(
-        r"camera folders cam1, cam2, cam3; expected cam1 to cam4",
-        save(tmp_path / "three", [1], cameras=3),
-    )
+    three = save(tmp_path / "three", [1], cameras=3)
+    refuses(r"camera folders cam1, cam2, cam3; expected cam1 to cam4", three)
     data = osl.load_dataset(save(tmp_path / "no_gt", [7], gt=None))
     assert data[0].gt_path is None
     with refused("frame 7 has no ground truth"):
@@ -221,11 +217,8 @@ def test_frames_that_have_their_own_rigs(tmp_path):
     (tmp_path / "things" / "train" / ".0004").mkdir()  # of a renderer that is at work
     data = osl.load_dataset(tmp_path / "things", "train")
     assert repr(data) == "Dataset(train: 3 frames, 3 with ground truth, a rig for each frame)"
-    assert [(f.number, len(f.rig), len(f.images)) for f in data] == [
-        (1, 3, 3),
-        (2, 5, 5),
-        (3, 4, 4),
-    ]
+    counts = [(frame.number, len(frame.rig), len(frame.images)) for frame in data]
+    assert counts == [(1, 3, 3), (2, 5, 5), (3, 4, 4)]
     for frame in data[1:]:
         # in steps of its own nearest depth
         np.testing.assert_allclose(frame.inverse_depth, [[0, 1 / frame.number]])

@@ -153,20 +153,16 @@ def test_corners_may_be_missing(views):
     rng = np.random.default_rng(6)
     holes = [np.where(rng.random((120, 1)) < 0.2, np.nan, view) for view in views[0]]
     report = calibrate_camera([*holes, None], BOARD, SIZE, degree=6)[1]
-    assert (
-        boards.ray_error_deg(report.intrinsics, reach_deg=report.max_corner_angle_deg)
-        < 1.5 * GOOD_DEG
-    )
+    reach = report.max_corner_angle_deg
+    assert boards.ray_error_deg(report.intrinsics, reach_deg=reach) < 1.5 * GOOD_DEG
     assert len(report.inlier_residuals()) == sum(np.isfinite(view[:, 0]).sum() for view in holes)
 
 
 def test_wrong_corners_are_named_and_change_nothing(fitted, views):
     rng = np.random.default_rng(7)
     corners = [view.copy() for view in views[0]]
-    wrong = {
-        (int(v), int(k))
-        for v, k in zip(rng.integers(0, 24, 100), rng.integers(0, 120, 100), strict=True)
-    }
+    which, where = rng.integers(0, 24, 100), rng.integers(0, 120, 100)
+    wrong = {(int(v), int(k)) for v, k in zip(which, where, strict=True)}
     for view, corner in wrong:
         angle = rng.uniform(0, 2 * np.pi)
         corners[view][corner] += rng.uniform(3, 20) * np.array([np.cos(angle), np.sin(angle)])
@@ -205,10 +201,8 @@ def test_a_second_board_that_stands_still_is_left_out(views):
         corners[k] = second + rng.normal(0, 0.05, second.shape)
     report = calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
     assert set(report.rejected) == {2, 7, 8, 15} and "a second board" in report.text()
-    assert (
-        boards.ray_error_deg(report.intrinsics, reach_deg=report.max_corner_angle_deg)
-        < 1.5 * GOOD_DEG
-    )
+    reach = report.max_corner_angle_deg
+    assert boards.ray_error_deg(report.intrinsics, reach_deg=reach) < 1.5 * GOOD_DEG
     # held still; a picture given twice
     for still in ([views[0][0]] * 3 + views[0], [views[0][0], *views[0]]):
         assert calibrate_camera(still, BOARD, SIZE, degree=4)[1].rejected == {}

@@ -42,24 +42,15 @@ def test_captures_are_matched_by_name_in_the_order_of_numbers(tmp_path):
         )
     captures = find_captures(tmp_path)
     assert captures.cameras == ("cam1", "cam2", "cam10") and captures.names == ("1", "2", "10")
-    assert [[path is not None for path in row] for row in captures.paths] == [
-        [1, 0, 0],
-        [0, 1, 1],
-        [0, 1, 0],
-    ]
+    found = [[path is not None for path in row] for row in captures.paths]
+    assert found == [[1, 0, 0], [0, 1, 1], [0, 1, 0]]
     assert captures.views()[2][1].shape == (20, 30) and captures.views()[2][0] is None
 
 
 def test_only_pictures_are_views(tmp_path):
     picture(tmp_path / "cam1" / "1.png")
-    for name in (
-        "cam1/2.tiff",
-        "cam1/3.yaml",
-        "cam1/corners_cam1.yaml",
-        "cam1/4.npz",
-        "cam1/.5.png",
-        ".cache/6.png",
-    ):
+    names = "cam1/2.tiff cam1/3.yaml cam1/corners_cam1.yaml cam1/4.npz cam1/.5.png .cache/6.png"
+    for name in names.split():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "gt").mkdir()

@@ -49,10 +49,8 @@ def test_a_rig_is_recovered_whatever_end_the_boards_are_read_from(rigged):
     ):
         assert angle < min(GOOD_DEG, 3 * sigma_deg) and shift < min(GOOD_M, 3 * sigma_m)
     for camera in report.joint:
-        assert (
-            boards.ray_error_deg(camera.intrinsics, reach_deg=camera.max_corner_angle_deg)
-            < GOOD_DEG
-        )
+        reach = camera.max_corner_angle_deg
+        assert boards.ray_error_deg(camera.intrinsics, reach_deg=reach) < GOOD_DEG
     assert report.rejected == {} and report.rms_px == pytest.approx(0.05, abs=0.002)
     assert set(report.shared) == {(0, 1), (0, 3), (1, 2), (2, 3)}
     assert min(report.shared.values()) >= 5
@@ -145,9 +143,7 @@ def test_one_camera_given_twice(seen_by_four):
 def test_cameras_that_move_and_one_that_is_unlike_the_others(seen_by_four):
     rng = np.random.default_rng(16)
     views = [list(row) for row in seen_by_four]
-    views[0] = [
-        None if view is None else view + rng.normal(0, 0.5, view.shape) for view in views[0]
-    ]
+    views[0] = [None if v is None else v + rng.normal(0, 0.5, v.shape) for v in views[0]]
     for k in BETWEEN:  # between the exposures each board moves a little
         if views[2][k] is not None:
             azimuth = rng.uniform(0, 2 * np.pi)

@@ -100,10 +100,8 @@ def truth(pose, board=BOARD, lens="equidistant 210"):
 
 def rms(found, expected, board=BOARD):
     """Root mean square distance in px, in the reading of the board that fits best."""
-    return min(
-        np.sqrt(np.mean(np.sum((found - expected[order]) ** 2, axis=1)))
-        for order in board.symmetries
-    )
+    off = [np.sum((found - expected[order]) ** 2, axis=1) for order in board.symmetries]
+    return min(np.sqrt(np.mean(off, axis=1)))
 
 
 @pytest.fixture(scope="module")
@@ -268,10 +266,8 @@ def test_images_of_different_sizes(picture):
 
 
 def test_the_size_that_would_fit_is_said(picture, corners):
-    (left, top), (right, bottom) = (
-        corners.min(axis=0).astype(int) - 50,
-        corners.max(axis=0).astype(int) + 50,
-    )
+    left, top = corners.min(axis=0).astype(int) - 50
+    right, bottom = corners.max(axis=0).astype(int) + 50
     # no more than the board: many sizes are tried
     picture = np.ascontiguousarray(picture[top:bottom, left:right])
     with refused(r"Pass 12 x 10 inner corners .* found in 1"):

@@ -51,13 +51,8 @@ def synthetic_tracks(rig, count=700, noise=0.0, seed=0, nearest=1.0, farthest=20
     for k, (camera, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True)):
         uv, valid = camera.project(pose.inverse() @ points)
         seen = np.flatnonzero(valid)
-        parts.append(
-            (
-                np.full(len(seen), k),
-                seen,
-                uv[seen] + rng.normal(0, noise, (len(seen), 2)) if noise else uv[seen],
-            )
-        )
+        off = rng.normal(0, noise, (len(seen), 2)) if noise else 0
+        parts.append((np.full(len(seen), k), seen, uv[seen] + off))
     camera, point, pixels = (np.concatenate(column) for column in zip(*parts, strict=True))
     tracks = Tracks(camera, np.zeros(len(camera), int), point, pixels)
     return tracks.select(np.ones(len(camera), bool))
@@ -205,10 +200,8 @@ def test_few_points_are_refused_with_their_number():
     measured = MeasuredRig(
         RIG, np.zeros((4, 6)), covariance, bundle.points, 40, bundle.sigma_px, 1.0
     )
-    assert (
-        f"{bundle.tracks.num_points} points in 40 cells of 15° are too few"
-        in measured.refusals()[0]
-    )
+    said = f"{bundle.tracks.num_points} points in 40 cells of 15° are too few"
+    assert said in measured.refusals()[0]
 
 
 @pytest.fixture(scope="module")

@@ -25,10 +25,8 @@ def given(roll_deg=0.0):
     theta = np.linspace(1e-3, np.radians(108), 400)
     powers = np.array([0, *range(2, 15)])
     r = F * theta
-    fit = (
-        np.linalg.lstsq((r[:, None] / r[-1]) ** powers, -r / np.tan(theta), rcond=None)[0]
-        / r[-1] ** powers
-    )
+    fit = np.linalg.lstsq((r[:, None] / r[-1]) ** powers, -r / np.tan(theta), rcond=None)[0]
+    fit /= r[-1] ** powers
     poly = np.zeros(15)
     poly[powers] = fit
     a = np.radians(roll_deg)

@@ -106,15 +106,8 @@ def test_depth_of_images(data, tmp_path, capsys):
     files = ["--mesh", out / "a.ply", "--equirectangular", out / "a.tiff"]
     method = ["--phi", -30, 60, "--method", "zncc+sgm,pairs=all"]
     assert run("depth", *with_images(data), *SMALL, *method, "--out", out, *files) == 0
-    assert {path.name for path in out.iterdir()} == {
-        "a.ply",
-        "a.tiff",
-        "a_colors.jpg",
-        "a_photo.jpg",
-        "data",
-        "index.html",
-        "overview.png",
-    }
+    written = "a.ply a.tiff a_colors.jpg a_photo.jpg data index.html overview.png"
+    assert {path.name for path in out.iterdir()} == set(written.split())
     assert sorted(path.name for path in (out / "data").iterdir()) == sorted(
         [*RESULTS.split(), "mine.txt"]
     )

@@ -32,11 +32,8 @@ def cluster(distributed):
     """Two workers, forked by a process that has imported the library, as is the replacement."""
     import dask
 
-    options = {
-        "n_workers": 2,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": None,
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True} | {
+        "dashboard_address": None
     }
     with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
         distributed.utils.get_mp_context().set_forkserver_preload(

@@ -39,14 +39,8 @@ def test_each_crop_is_what_a_pinhole_sees(rig, written):
         assert z.shape == image.shape == (frame["h"], frame["w"])
         # The rays of an OpenGL camera: x right, y up, looking along -z.
         u, v = np.meshgrid(np.arange(frame["w"]) + 0.5, np.arange(frame["h"]) + 0.5)
-        rays = np.stack(
-            [
-                (u - frame["cx"]) / frame["fl_x"],
-                -(v - frame["cy"]) / frame["fl_y"],
-                -np.ones_like(u),
-            ],
-            -1,
-        )
+        right, up = (u - frame["cx"]) / frame["fl_x"], -(v - frame["cy"]) / frame["fl_y"]
+        rays = np.stack([right, up, -np.ones_like(u)], -1)
         matrix = np.array(frame["transform_matrix"])
         down = np.array([1, -1, -1])  # the world of the file has y up
         origin, directions = matrix[:3, 3] * down + center, rays @ matrix[:3, :3].T * down
@@ -70,10 +64,8 @@ def test_the_crops_are_read_as_a_rig(written):
     for camera, pose, frame in zip(rig.cameras, rig.T_rig_cam, frames, strict=True):
         ray = pose.R @ camera.unproject([u, v])[0]
         matrix = np.array(frame["transform_matrix"])
-        right, up = (
-            (u + 0.5 - frame["cx"]) / frame["fl_x"],
-            -(v + 0.5 - frame["cy"]) / frame["fl_y"],
-        )
+        right = (u + 0.5 - frame["cx"]) / frame["fl_x"]
+        up = -(v + 0.5 - frame["cy"]) / frame["fl_y"]
         expected = matrix[:3, :3] @ [right, up, -1]
         np.testing.assert_allclose(
             ray / np.linalg.norm(ray), expected / np.linalg.norm(expected), atol=1e-4

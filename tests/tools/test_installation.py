@@ -21,14 +21,8 @@ def test_the_requirements_of_the_distribution(requires, capsys):
     verdict, *lines = text.splitlines()
     assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines)
     assert verdict == "OK    Python and packages are in place"
-    for word in (
-        "Python 3.",
-        "numpy",
-        "cores",
-        "GiB memory free",
-        "GPU",
-        "python -m course doctor",
-    ):
+    words = ("Python 3.", "numpy", "cores", "GiB memory free", "GPU", "python -m course doctor")
+    for word in words:
         assert word in text
     requires += ["numpy>=99.1", "no-such-package-here>=3.1"]
     assert doctor.doctor() is False

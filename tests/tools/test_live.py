@@ -273,9 +273,7 @@ class Ending(Device):
 
 
 @pytest.mark.parametrize("grabs", [False, True])
-def test_a_camera_that_gives_no_more_pictures_ends_the_view_by_its_name(
-    recorded, monkeypatch, grabs
-):
+def test_a_camera_without_more_pictures_ends_the_view_by_its_name(recorded, monkeypatch, grabs):
     monkeypatch.setattr(live_view.cv2, "VideoCapture", Ending)
     monkeypatch.setattr(Ending, "grabs", grabs)
     rig = recorded[0]

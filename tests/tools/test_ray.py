@@ -33,10 +33,8 @@ def test_the_agreement_is_greatest_at_the_exact_depth(box):
 
 def test_the_figure_of_a_ray_shows_its_numbers(box):
     costs = np.random.default_rng(0).uniform(1, 3, (40, 160, 64))
-    one, figure = (
-        ray.explain(box, 80, 20),
-        plot.explain_ray(box, 80, 20, box.index, {"cost": costs}),
-    )
+    one = ray.explain(box, 80, 20)
+    figure = plot.explain_ray(box, 80, 20, box.index, {"cost": costs})
     assert figure.get_suptitle() == one.sentence
     along = figure.axes[0].lines[0].get_ydata()
     np.testing.assert_array_equal(along, one.agreement)

@@ -334,9 +334,7 @@ def test_another_recording_is_not_overwritten(recorded, done, capsys):
     assert "already" not in said
 
 
-def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(
-    recorded, done, tmp_path, capsys
-):
+def test_depth_of_another_rig_or_of_other_pictures_is_not_kept(recorded, done, tmp_path, capsys):
     rig = osl.load_rig(recorded / "rig.yaml")
     moved = [*rig.T_rig_cam[:3], osl.Pose(rig.T_rig_cam[3].R, 1.01 * rig.T_rig_cam[3].t)]
     mask = np.ones(rig.cameras[0].image_size[::-1], bool)

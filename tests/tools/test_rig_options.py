@@ -34,19 +34,8 @@ def world(tmp_path_factory):
 
 def depth(folder, out, *options, images="{}.png"):
     pictures = [str(folder / images.format(k)) for k in (1, 2, 3, 4)]
-    return cli.main(
-        [
-            "depth",
-            "--rig",
-            str(folder / "rig.yaml"),
-            "--images",
-            *pictures,
-            *SMALL,
-            "--out",
-            str(out),
-            *options,
-        ]
-    )
+    rig = ["--rig", str(folder / "rig.yaml"), "--images", *pictures]
+    return cli.main(["depth", *rig, *SMALL, "--out", str(out), *options])
 
 
 def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):

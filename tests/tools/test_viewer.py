@@ -342,9 +342,7 @@ def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
             }""",
             row * 160 + column,
         )
-        values = np.array(
-            [np.nan if value is None else value for value in found["agreement"]], float
-        )
+        values = np.array([np.nan if x is None else x for x in found["agreement"]], float)
         np.testing.assert_allclose(values, expected.agreement, atol=1e-3)
         assert (found["sees"], found["hidden"]) == (
             expected.sees.tolist(),
@@ -354,9 +352,7 @@ def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
             assert found[name] == pytest.approx(getattr(expected, name), rel=1e-3, nan_ok=True), (
                 name
             )
-        assert [mode["sphere"] for mode in found["modes"]] == [
-            mode.sphere for mode in expected.modes
-        ]
+        assert [m["sphere"] for m in found["modes"]] == [m.sphere for m in expected.modes]
         assert found["words"] == expected.sentence
         kinds.add(expected.kind)
     assert len(kinds) >= 2

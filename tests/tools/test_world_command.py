@@ -189,16 +189,10 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
         number = 1 if key == "Home" else 3
         assert f"frame {number} by itself" in page.inner_text("#pictures")
         assert page.evaluate(
-            "n => ['before', 'after'].every(name => $(name).src === D.views[n - 1][name])",
-            number,
+            "n => ['before', 'after'].every(name => $(name).src === D.views[n - 1][name])", number
         )
-        at_ends.append(
-            (
-                page.inner_text("#place"),
-                middle(page, 0, 9).mean(),
-                page.locator("#plan").screenshot(),
-            )
-        )
+        said, plan = page.inner_text("#place"), page.locator("#plan").screenshot()
+        at_ends.append((said, middle(page, 0, 9).mean(), plan))
     (first, near, plan), (last, nearer, other_plan) = at_ends
     assert first == "frame 1, 0.0 of 0.3 m" and last == "frame 3, 0.3 of 0.3 m"
     assert near != nearer and plan != other_plan

@@ -58,10 +58,8 @@ def pages(built):
 def test_it_builds_without_a_warning_and_says_where_it_is(built):
     out, said = built
     assert (said.returncode, said.stderr.strip()) == (0, "")
-    assert (
-        said.stdout
-        == f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.\n"
-    )
+    written = f"Written: {out / 'index.html'}"
+    assert said.stdout == f"{written}. Open it in a browser; it needs no network.\n"
 
 
 def test_pages_of_an_older_book_are_gone(built):

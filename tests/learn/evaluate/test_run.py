@@ -80,10 +80,8 @@ def copy(data, tmp_path):
 
 
 def test_a_frame_agrees_with_the_single_steps(data, weights):
-    methods = [
-        *METHODS,
-        *map(EvaluatedMethod.parse, ("zncc+sgm,p1=0.3,p2=2", "zncc,subindex=true,pairs=all")),
-    ]
+    more = ("zncc+sgm,p1=0.3,p2=2", "zncc,subindex=true,pairs=all")
+    methods = [*METHODS, *map(EvaluatedMethod.parse, more)]
     methods.append(EvaluatedMethod.parse("sweepnet,wrap=false"))
     dataset = osl.load_dataset(data)
     grid = osl.SphereGrid(48, 14, num_spheres=8, min_depth=0.6)
@@ -119,17 +117,11 @@ def test_a_frame_agrees_with_the_single_steps(data, weights):
     assert len({json.dumps(errors) for errors in found.values()}) == len(found)
 
 
-def test_a_volume_is_computed_once_for_all_methods_that_share_it(
-    data, weights, tmp_path, monkeypatch
-):
+def test_a_volume_is_computed_once_for_all_that_share_it(data, weights, tmp_path, monkeypatch):
     calls = []
     monkeypatch.setattr(run, "cost_volume", lambda *a: calls.append(a[3]) or osl.cost_volume(*a))
-    methods = [
-        *METHODS,
-        *ABLATIONS["penalties"],
-        *ABLATIONS["subindex"],
-        *select_methods(["zncc,pairs=all"]),
-    ]
+    methods = [*METHODS, *ABLATIONS["penalties"], *ABLATIONS["subindex"]]
+    methods += select_methods(["zncc,pairs=all"])
     task = evaluation(tmp_path / "out", data, methods, weights=weights, frames=[1], scale=TINY)
     assert len(list(task.run())) == len(task.jobs) == len(set(methods)) == 6 + 36 + 6 + 1
     assert calls == ["ring", "ring", "ring", "all"]
@@ -158,14 +150,8 @@ def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     named = {"cost": "mccnn", "aggregate": "sgm", "weights": "", "pairs": "ring"}
-    usual = {
-        "window": None,
-        "p1": None,
-        "p2": None,
-        "wrap": True,
-        "subindex": False,
-        "num_spheres": 0,
-    }
+    usual = dict.fromkeys(("window", "p1", "p2"))
+    usual |= {"wrap": True, "subindex": False, "num_spheres": 0}
     assert results["methods"]["mccnn+sgm"] == named | usual
     files = ["config.yaml", *(f"omnidepth_gt_96/{number:05}.tiff" for number in FRAMES)]
     files += [f"cam{k}/{number:04}.png" for k in (1, 2, 3, 4) for number in FRAMES]
@@ -234,10 +220,8 @@ def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected)
 
 def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path, own, expected):
     bend = osl.Pose.from_vector([0, torch.pi / 36, 0, 0, 0, 0])
-    osl.save_rig(
-        osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend]),
-        tmp_path / "bent.yaml",
-    )
+    bent = osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend])
+    osl.save_rig(bent, tmp_path / "bent.yaml")
     bent = json.loads(evaluate(tmp_path / "out", data, rig=tmp_path / "bent.yaml"))
     for number, methods in json.loads(expected)["frames"]["box"].items():
         found = bent["frames"]["box"][number]["zncc+sgm"]

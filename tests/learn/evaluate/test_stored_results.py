@@ -28,9 +28,7 @@ PAGE = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
 
 
 def cells(figures):
-    return [
-        f"{x:.{1 if '>' in metric else 2}f}" for x, metric in zip(figures, METRICS, strict=True)
-    ]
+    return [f"{x:.{1 if '>' in key else 2}f}" for x, key in zip(figures, METRICS, strict=True)]
 
 
 def folder_of(data):
@@ -154,9 +152,7 @@ def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets()
             stored = read_record(STORED[f"{scale}-{weights}" if weights else scale])["frames"]
             name = f"{method},weights={weights}" if weights else method
             figures = [frame[name]["figures"] for key in sets for frame in stored[key].values()]
-            means.append(
-                np.array([np.mean([one[metric] for one in figures]) for metric in METRICS])
-            )
+            means.append(np.array([np.mean([one[key] for one in figures]) for key in METRICS]))
             row = [place, EvaluatedMethod.parse(method).label, trained_on, *cells(means[-1])]
             rows.append(f"| {' | '.join(row)} |")
         assert (means[1] <= (1.02 if place == "streets" else 1.0) * means[0]).all(), (place, method)

@@ -193,9 +193,7 @@ def test_depth_ranges_and_cameras():
 def test_hand_overs_are_where_the_view_of_a_camera_ends():
     """Four cameras of 220° in one place: views end 20° and 70° off each axis."""
     camera = RIG.cameras[0]
-    poses = [
-        osl.Pose.from_vector([0, angle, 0, 0, 0, 0]) for angle in np.radians([0, 90, 180, 270])
-    ]
+    poses = [osl.Pose.from_vector([0, yaw, 0, 0, 0, 0]) for yaw in np.radians([0, 90, 180, 270])]
     rig = osl.Rig([replace(camera, max_fov_deg=220.0)] * 4, poses)
     grid = osl.SphereGrid(720, 19, (-4.75, 4.75), 12, 0.6)
     gt_index = np.full(grid.shape, 3.0)
@@ -257,7 +255,7 @@ def test_bootstrap_is_open_for_one_frame():
 def record(figures_of, sets=("box", "sunset", "sunny")):
     """Results with these metrics for every method, set and frame, out of order."""
     methods = [
-        EvaluatedMethod.parse(name) for name in ("zncc+sgm", "zncc,window=5", "mccnn", "zncc")
+        EvaluatedMethod.parse(text) for text in ("zncc+sgm", "zncc,window=5", "mccnn", "zncc")
     ]
     empty = dict.fromkeys(SUMS, 0)
 
@@ -271,10 +269,8 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
                 empty,
             ),
         }
-        return {
-            "figures": dict(zip(METRICS, figures_of(name, k, method), strict=True)),
-            "strata": regions,
-        }
+        figures = dict(zip(METRICS, figures_of(name, k, method), strict=True))
+        return {"figures": figures, "strata": regions}
 
     frames = {
         name: {f"{k:05}": {m.name: errors(name, k, m.name) for m in methods} for k in (1, 2, 3)}
@@ -312,10 +308,8 @@ def test_the_table_has_the_form_of_the_paper():
     assert lines[2].split()[0] == interval
     words = ("Sunny >1", "20.0", interval)
     # aligned
-    assert (
-        len({line.index(word) + len(word) for line, word in zip(lines[:3], words, strict=True)})
-        == 1
-    )
+    pairs = zip(lines[:3], words, strict=True)
+    assert len({line.index(word) + len(word) for line, word in pairs}) == 1
     rows = [line.strip("| ").split(" | ") for line in table.markdown().splitlines()[:-2]]
     assert {len(row) for row in rows} == {16}
     assert rows[0][1] == "Sunny &gt;1"
@@ -341,9 +335,7 @@ def test_frames_that_cannot_be_evaluated_are_left_out_of_the_mean():
 def test_regions_pool_all_rays():
     table = regions_table(record(lambda *_: [1.0] * 5, sets=("sunny",)))
     shares = {"all": "100.0 %", "without sky": "80.0 %", "sky": "20.0 %", "thin": "20.0 %"}
-    assert [words[:3] for words, _ in table.rows[::4]] == [
-        ["sunny", *item] for item in shares.items()
-    ]
+    assert [row[:3] for row, _ in table.rows[::4]] == [["sunny", *item] for item in shares.items()]
     assert [words[3] for words, _ in table.rows[:4]] == LABELS
     np.testing.assert_allclose(table.rows[0][1][:, 0], [50, 20, 12, 1.5, 3])
     np.testing.assert_allclose(table.rows[0][1][2], [12, 11, 13], atol=0.34)

@@ -52,16 +52,8 @@ def test_subindex_stays_at_the_ends():
 
 
 def test_confidence_compares_with_the_best_rival_that_is_no_neighbour():
-    costs = torch.tensor(
-        [
-            [
-                [0.3, 0.1, 0.15, 0.4],
-                [0.2, 0.2, 0.2, 0.2],
-                [0.0, 0.5, 0.5, 0.5],
-                [0.1, 0.2, torch.nan, 0.0],
-            ]
-        ]
-    )
+    rays = [[0.3, 0.1, 0.15, 0.4], [0.2, 0.2, 0.2, 0.2], [0.0, 0.5, 0.5, 0.5]]
+    costs = torch.tensor([[*rays, [0.1, 0.2, torch.nan, 0.0]]])
     expected = [1 - 0.1 / 0.4, 0.0, 1.0, 1.0]
     assert osl.confidence(costs)[0].tolist() == pytest.approx(expected)
     assert osl.confidence(torch.full((1, 1, 4), torch.nan)).isnan().all()

@@ -64,12 +64,8 @@ def test_penalties_follow_the_scale(box):
         p1, p2 = penalties(width, num_spheres)
         assert 0 < p1 <= p2 <= 12 and p1 <= 0.1
     p1, p2 = penalties(GRID.width, GRID.num_spheres)
-    for given, both in (
-        ("", (p1, p2)),
-        (",p1=5", (5, 5)),
-        (",p2=0.001", (0.001, 0.001)),
-        (",p1=0", (0, p2)),
-    ):
+    expected = {"": (p1, p2), ",p1=5": (5, 5), ",p2=0.001": (0.001, 0.001), ",p1=0": (0, p2)}
+    for given, both in expected.items():
         given, both = f"zncc+sgm{given}", "zncc+sgm,p1={},p2={}".format(*both)
         indices = [
             osl.estimate_depth(osl.Frame.of(*box), GRID, name).index for name in (given, both)

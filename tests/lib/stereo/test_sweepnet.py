@@ -86,13 +86,7 @@ def test_layers_and_parameters_are_those_of_table_one():
     shapes = {name: tuple(layer.weight.shape) for name, layer in net.layers.items()}
     expected = {"conv1": (32, 1, 5, 5), **{f"conv{k}": (32, 32, 3, 3) for k in range(2, 19)}}
     expected |= {"conv19": (128, 64, 3, 3), "deconv1": (128, 128, 3, 3), "conv20": (128, 128, 3, 3)}
-    expected |= {
-        "fc1": (256, 128),
-        "fc2": (256, 256),
-        "fc3": (256, 256),
-        "fc4": (256, 256),
-        "fc5": (1, 256),
-    }
+    expected |= {"fc1": (256, 128), **{f"fc{k}": (256, 256) for k in (2, 3, 4)}, "fc5": (1, 256)}
     assert shapes == expected
     # W/2 × H/2 × 32 for each camera, W × H × 128 and W × H for a pair
     features = net.extract_features(torch.zeros(3, 8, 20 + 4))
@@ -236,10 +230,8 @@ def test_odd_panoramas_are_refused(size):
 def test_bfloat16_is_chosen_where_the_processor_says_that_it_has_it(monkeypatch, flags, expected):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: flags)
     assert choose_precision("auto", "cpu") == expected
-    assert [choose_precision(one, "cpu") for one in ("bfloat16", "float32")] == [
-        "bfloat16",
-        "float32",
-    ]
+    for asked in ("bfloat16", "float32"):
+        assert choose_precision(asked, "cpu") == asked
     with refused("precision = 'float16'; expected"):
         LearnedCost(network(), "float16")
 

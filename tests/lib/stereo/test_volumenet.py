@@ -87,14 +87,10 @@ def test_the_correlation_and_its_gradient_are_those_of_the_definition():
     expected = reference.correlate(exact, [at.double() for at in uv], groups=8)
     assert torch.allclose(loops.double(), expected, atol=1e-5)
     by_definition = torch.autograd.grad((expected * upstream).sum(), exact)
-    assert all(
-        torch.allclose(a.double(), b, atol=1e-5)
-        for a, b in zip(by_loops, by_definition, strict=True)
-    )
-    assert (
-        correlate([one.to("meta") for one in maps], [at.to("meta") for at in uv]).shape
-        == loops.shape
-    )
+    for a, b in zip(by_loops, by_definition, strict=True):
+        assert torch.allclose(a.double(), b, atol=1e-5)
+    nowhere = ([one.to("meta") for one in arrays] for arrays in (maps, uv))
+    assert correlate(*nowhere).shape == loops.shape
 
 
 def test_cells_land_on_the_features_of_their_points():

@@ -24,23 +24,13 @@ def stereographic(**changes):
     """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse is a fit."""
     poly = [-F, 0.0, 1 / (4 * F)]
     inv_poly = fit_inverse_polynomial(poly, 220.0, 3 * max(SIZE), tolerance=2e-8)
-    return OcamCamera(
-        **{
-            "poly": poly,
-            "inv_poly": inv_poly,
-            "center": CENTER,
-            "affine": AFFINE,
-            "image_size": SIZE,
-        }
-        | changes
-    )
+    fields = {"poly": poly, "inv_poly": inv_poly, "center": CENTER, "affine": AFFINE}
+    return OcamCamera(**fields | {"image_size": SIZE} | changes)
 
 
 CAMERA = stereographic()
-POLY, INVERSE = (
-    " ".join(map(repr, CAMERA.poly.tolist())),
-    " ".join(map(repr, CAMERA.inv_poly.tolist())),
-)
+POLY = " ".join(map(repr, CAMERA.poly.tolist()))
+INVERSE = " ".join(map(repr, CAMERA.inv_poly.tolist()))
 N_INVERSE = len(CAMERA.inv_poly)
 C, D, E = AFFINE
 OCAM_TXT = f"""#polynomial coefficients for the DIRECT mapping function
@@ -108,11 +98,8 @@ def omnimvs(**changes):
     cameras = [
         camera | {"pose": pose, "invalid_mask": f"mask{i + 1}.png"} for i, pose in enumerate(poses)
     ]
-    return {
-        "config": {"omnimvs_sweep_min_depth": 1.65},
-        "dataset": {"start": 1},
-        "cameras": cameras,
-    } | changes
+    config = {"omnimvs_sweep_min_depth": 1.65}
+    return {"config": config, "dataset": {"start": 1}, "cameras": cameras} | changes
 
 
 def dump(path, data):

@@ -56,10 +56,8 @@ def test_opencv_opens_what_is_written_for_it(exported):
         uv = cv2.fisheye.projectPoints(in_rig, cv2.Rodrigues(R)[0], T, K, D)[0].reshape(-1, 2)
         ours, valid = camera.project(ahead)
         assert valid.any() and np.abs(uv - ours)[valid].max() < residual + 0.01
-        assert (node.getNode("image_width").real(), node.getNode("image_height").real()) == (
-            800,
-            768,
-        )
+        size = [node.getNode(f"image_{side}").real() for side in ("width", "height")]
+        assert size == [800, 768]
 
 
 def test_the_folder_for_colmap(exported):

@@ -59,9 +59,7 @@ def without(*keys, **more):
 def numbered(key):
     """Return the rig with all keys at the top, written by `key(name, number)`."""
     cams = ((1, LENS), (2, LENS | POSE))
-    found = {
-        key(name, n): value for n, cam in cams for name, value in cam.items() if name in "KDRT"
-    }
+    found = {key(name, n): x for n, cam in cams for name, x in cam.items() if name in "KDRT"}
     return found | {"image_size": list(SIZE), "distortion_model": "fisheye"}
 
 

@@ -46,14 +46,8 @@ def rig_config(name="OPENCV_FISHEYE", **changes):
     pose = POSES[1].inverse()
     turned = {"cam_from_rig_rotation": wxyz(pose.R), "cam_from_rig_translation": pose.t.tolist()}
     lens = {"camera_model_name": name, "camera_params": MODELS[name][0]} | changes
-    return [
-        {
-            "cameras": [
-                {"image_prefix": "a/", "ref_sensor": True} | lens,
-                {"image_prefix": "b/"} | turned | lens,
-            ]
-        }
-    ]
+    first = {"image_prefix": "a/", "ref_sensor": True} | lens
+    return [{"cameras": [first, {"image_prefix": "b/"} | turned | lens]}]
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -61,10 +61,8 @@ def test_poses_of_the_drive(route):
 def test_lots_fill_their_block_and_do_not_overlap(seed):
     district = plan_district(seed)
     for block in district.blocks:
-        area, lots = (
-            block.building_line,
-            split_lots(block, np.random.default_rng([seed, block.number])),
-        )
+        area = block.building_line
+        lots = split_lots(block, np.random.default_rng([seed, block.number]))
         assert not any(lot.empty for lot in lots if sum(lot.street_sides) > 1)
         assert sum(np.prod(lot.ground.size) for lot in lots) == pytest.approx(np.prod(area.size))
         for lot in lots:

@@ -92,10 +92,8 @@ def surely_seen(center, inverse_depth, grid):
     for share_of_way in np.linspace(0.05, 0.995, 8):
         between = center + share_of_way * (points - center)
         pixels, inside = grid.project(between)
-        covered = (
-            np.linalg.norm(between, axis=-1) * sample(inverse_depth, pixels, cv2.INTER_NEAREST)
-            > 1.02
-        )
+        there = sample(inverse_depth, pixels, cv2.INTER_NEAREST)
+        covered = np.linalg.norm(between, axis=-1) * there > 1.02
         seen &= inside & ~covered
     return seen
 
@@ -103,10 +101,7 @@ def surely_seen(center, inverse_depth, grid):
 def warped_zncc(frame, inverse_depth, grid):
     """ZNCC and contrast of neighbouring cameras' images, warped with a depth for each ray."""
     sweep = osl.SphereSweep(frame.rig, grid)
-    gray = [
-        image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        for image in frame.images
-    ]
+    gray = [x if x.ndim == 2 else cv2.cvtColor(x, cv2.COLOR_RGB2GRAY) for x in frame.images]
     warped = sweep.warp(
         [image.astype(np.float32) for image in gray], grid.inverse_depth_to_index(inverse_depth)
     )

@@ -65,10 +65,8 @@ def test_config_names_each_camera_and_says_what_only_a_rendered_rig_knows(tmp_pa
     assert content["dataset"] == {"img_fmt": "cam%d/%04d.jpg", "start": 701}
     for number, (entry, camera) in enumerate(zip(content["cameras"], rig.cameras, strict=True), 1):
         assert entry["cam_id"] == number and entry["img_dir"] == f"cam{number}"
-        for key, value in (
-            ("exposure_gain", camera.sensor.gain),
-            ("falloff", camera.sensor.falloff),
-        ):
+        known = {"exposure_gain": camera.sensor.gain, "falloff": camera.sensor.falloff}
+        for key, value in known.items():
             assert entry[key] == pytest.approx(value, abs=1e-6)
         assert entry["fit_residual_px"] < 2e-3
 

@@ -42,10 +42,8 @@ def points_on(mesh, count=12):
 
 def rotation(x, y, z):
     """Blender's XYZ Euler angles: about x first."""
-    about = [
-        osl.Pose.from_vector([*(angle * np.eye(3)[k]), 0, 0, 0]).R
-        for k, angle in enumerate((x, y, z))
-    ]
+    turns = np.diag((x, y, z))
+    about = [osl.Pose.from_vector([*turn, 0, 0, 0]).R for turn in turns]
     return about[2] @ about[1] @ about[0]
 
 
