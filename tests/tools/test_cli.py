@@ -85,7 +85,7 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     captured = capsys.readouterr()
     assert f"the mean error is {errors['MAE'] / 100:.2g} of it" in captured.out
     assert f"written to {out}/: " in captured.out
-    assert captured.out.startswith("Fair: 24 % of rays are doubtful.\n")
+    assert captured.out.startswith("Good: 90 % of rays are sure.\n")
     assert captured.out.endswith(f"\n{out / 'index.html'}\n")
     # the progress bar
     assert "of 2304 rays have a depth" in captured.out and "tables:" in captured.err
