@@ -437,8 +437,8 @@ def _all(values: Any, count: int) -> tuple[Any, ...]:
 
 def _namespace(a: Array) -> ModuleType:
     """Return torch for a tensor, NumPy for anything else; torch is not imported."""
-    torch = sys.modules.get("torch")  # without a Tensor, while another thread loads it
-    return torch if torch and isinstance(a, getattr(torch, "Tensor", ())) else np
+    torch = sys.modules.get("torch")
+    return torch if torch is not None and isinstance(a, torch.Tensor) else np
 
 
 def _as_array(a: Any, width: int) -> tuple[Array, ModuleType]:

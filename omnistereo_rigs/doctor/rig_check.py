@@ -107,7 +107,6 @@ def check_rig(
     images: Sequence[NDArray[np.uint8]],
     min_depth: float | None = None,
     progress: Progress = silent,
-    evidence: Evidence | None = None,
 ) -> RigCheck:
     """Measure the poses of a rig from the images of one moment and compare them.
 
@@ -119,7 +118,6 @@ def check_rig(
         min_depth: Depth in metres than which hardly anything is nearer; None: the unit is not
             checked.
         progress: Called as `progress(done, total, what)`.
-        evidence: Of `find_evidence`, if it is known.
 
     Raises:
         OmnistereoError: If the images do not fit the cameras.
@@ -132,7 +130,7 @@ def check_rig(
         )
     step = counted(progress, 2)
     step("matches")
-    evidence = evidence or find_evidence(rig, images)
+    evidence = _evidence(rig, images)
     found = _best(evidence, rig)
     check = _mixup(evidence, rig, found)
     if check is None:
@@ -147,13 +145,12 @@ def check_rig(
 
 def find_mixup(frame: Frame) -> str | None:
     """Return what is mixed up, in words, or None; a quick look, without measuring poses."""
-    evidence = find_evidence(frame.rig, frame.images)
+    evidence = _evidence(frame.rig, frame.images)
     found = _mixup(evidence, frame.rig, _best(evidence, frame.rig))
     return found.text if found and found.fits is False else None
 
 
-def find_evidence(rig: Rig, images: Sequence[ArrayLike]) -> Evidence:
-    """Return what the images of a rig have in common: their features."""
+def _evidence(rig: Rig, images: Sequence[ArrayLike]) -> Evidence:
     return Evidence(
         rig.cameras,
         [image.round().clip(0, 255).astype(np.uint8) for image in check_images(images, rig)],

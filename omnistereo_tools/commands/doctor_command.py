@@ -9,9 +9,7 @@ Examples:
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,7 +96,7 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
         )
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_file import save_rig
-    from omnistereo_rigs.doctor.rig_check import check_rig, find_evidence
+    from omnistereo_rigs.doctor.rig_check import check_rig
     from omnistereo_tools.judge.first_look import matching_cost, picture_doubt
     from omnistereo_tools.progress import progress_bar, say
 
@@ -107,22 +105,12 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
         return _Found(f"Bad: {doubt}.", 1, next="Then run the same command again.")
     stated = rig.min_depth if options.min_depth is None else options.min_depth
     say("measuring the poses from the images takes about 15 s")
-    with ThreadPoolExecutor(1) as beside:
-        # Torch loads while OpenCV finds features, and is whole before SciPy may look into it.
-        loading = beside.submit(import_module, "torch")
-        cost = beside.submit(
-            matching_cost, frame, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth)
-        )
-        evidence = find_evidence(rig, images)
-        loading.result()
-        check = check_rig(rig, images, stated, progress_bar(), evidence)
+    check = check_rig(rig, images, stated, progress_bar())
     if check.cause == "late or displaced" and options.images is None:
         check = _with_frames(options, check)
     word = "Good" if check.fits else "Unknown" if check.fits is None else "Bad"
-    details = [
-        f"Median matching cost of the rig as given: {cost.result():.3f}; right rigs have up to"
-        " 0.17."
-    ]
+    cost = matching_cost(frame, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth))
+    details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
     if stated is None:
         details.append(
             "A wrong unit does not show, since no nearest depth is stated: check the distances"
