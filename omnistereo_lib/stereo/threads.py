@@ -24,6 +24,9 @@ def map_threads(function: Callable[..., _Result], *arguments: Iterable[Any]) -> 
     """
     if hasattr(_thread, "is_ours"):
         return map(function, *arguments)
+    if torch.is_inference_mode_enabled():
+        # The mode is of this thread alone, and only in it may what was made in it be written to.
+        function = torch.inference_mode()(function)
     return _pool(torch.get_num_threads()).map(function, *arguments)
 
 

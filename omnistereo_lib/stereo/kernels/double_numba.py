@@ -15,9 +15,12 @@ from omnistereo_lib.stereo.threads import map_threads
 def add_doubled(level: Tensor, x: Tensor) -> Tensor:
     """Add `volumenet.double` of x (B, C, w, h, n) to a level (B, C, 2w, 2h, 2n) in place.
 
-    Both are bfloat16, channels last in memory. Torch's copy, interpolation and sum have the same
-    bits; they take three times as long: 16 channels of 320 × 80 × 48 90 ms of one core, 33 here.
+    Both are bfloat16, the level channels last in memory. Torch's copy, interpolation and sum have
+    the same bits; they take three times as long: 16 channels of 320 × 80 × 48 90 ms of one core, 33
+    here.
     """
+    # As oneDNN returns it; where it is switched off, this is a copy.
+    x = x.contiguous(memory_format=torch.channels_last_3d)
     for fine, coarse in zip(level, x, strict=True):
         # the bits, as they lie in memory: (2w, 2h, 2n · C) and (w, h, n · C)
         into, of = (

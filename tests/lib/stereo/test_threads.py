@@ -26,6 +26,13 @@ def test_a_thread_that_waits_for_others_does_their_work():
     assert list(rows) == [[10 * y, 10 * y + 1, 10 * y + 2] for y in range(9)]
 
 
+def test_threads_write_to_what_is_made_in_inference_mode():
+    with torch.inference_mode():
+        x = torch.zeros(9)
+        list(map_threads(lambda k: x[k : k + 1].fill_(k), range(9)))
+    assert x.tolist() == [*range(9)]
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork")
 def test_a_forked_process_starts_its_own():
     list(map_threads(abs, range(4)))

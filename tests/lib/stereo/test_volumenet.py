@@ -156,12 +156,15 @@ def test_what_runs_in_one_pass_is_what_the_layers_say(network):
         assert torch.allclose(a, b, atol=1e-5)
 
 
-def test_a_step_up_in_one_pass_has_the_bits_of_its_steps():
-    """In bfloat16: doubling rounds, and the sum rounds again."""
-    rng, layout = torch.Generator().manual_seed(3), torch.channels_last_3d
+@pytest.mark.parametrize("layout", [torch.channels_last_3d, torch.contiguous_format])
+def test_a_step_up_in_one_pass_has_the_bits_of_its_steps(layout):
+    """In bfloat16: doubling rounds, and the sum rounds again. Without oneDNN the coarser level has
+    its channels first.
+    """
+    rng = torch.Generator().manual_seed(3)
     x, level = (
         torch.randn(2, 3, *size, generator=rng).bfloat16().contiguous(memory_format=layout)
-        for size in ((5, 3, 4), (10, 6, 8))
+        for size, layout in (((5, 3, 4), layout), ((10, 6, 8), torch.channels_last_3d))
     )
     expected = level + double(x)
     assert torch.equal(add_doubled(level, x), expected)
