@@ -232,7 +232,7 @@ UNFIT = """() => [
         .filter(e => !e.ariaLabel.includes(e.innerText.trim()))
         .map(e => `not the name that is shown: ${e.outerHTML}`),
     ...[...document.querySelectorAll("article *")]
-        .filter(e => e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0)
+        .filter(e => e.checkVisibility() && e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0)
         .filter(e => ["auto", "scroll"].includes(getComputedStyle(e).overflowX))
         .map(e => `not to be scrolled by keys: ${e.outerHTML.slice(0, 80)}`),
 ]"""

@@ -46,9 +46,9 @@ _COMMANDS: list[tuple[str, tuple[float, ...], str]] = [
 # Cameras, method and panorama of runs that the numbers in `pace` were not fitted to.
 _NOT_FITTED = [
     (2, "volumenet", "1600x400x192"),
-    (6, "volumenet", "960x480x96"),
-    (2, "zncc+sgm", "1200x300x128"),
-    (6, "zncc+sgm", "960x240x96"),
+    (6, "volumenet", "1280x320x64"),
+    (2, "zncc+sgm", "800x400x96"),
+    (6, "zncc+sgm", "1400x350x64"),
 ]
 _FRAMES = [
     ("VolumeNet frame", "volumenet", 640, 160, 192, 0.7),
