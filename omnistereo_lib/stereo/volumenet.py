@@ -300,12 +300,17 @@ class VolumeNet(StoredNetwork):
         if (network := self.ready(sweep.device)) is not self:
             return network.volume(sweep, frame, pairs, progress)
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
-        step = counted(progress, len(sizes) * (len(sweep.rig) + 3))
+        # Volumes that suit one resolution of the images share their features.
+        frames = [frame.reduced(pixels_per_degree(size)) for size in sizes]
+        step = counted(progress, 3 * len(sizes) + len(sweep.rig) * len({*map(id, frames)}))
         # The logits of every cell, from a coarse volume and a finer one.
-        logits = []  # (1, w, h, n) each
-        for size in sizes:
+        logits, features = [], list[Tensor]()  # (1, w, h, n) each
+        for size, small, following in zip(sizes, frames, [*frames[1:], None], strict=True):
             with autocast(self.precision, device):
-                correlation = self.correlation_at(sweep, frame, size, step)  # (9, w, h, n)
+                features = features or self.features_of(sweep, small, step)
+                # (9, w, h, n)
+                correlation = self.correlation_at(sweep, small, size, features, step)
+                features = features if following is small else []
                 # The last channel is k / 4, so 0.5 for two cameras.
                 shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
                 step("U-net")
@@ -318,37 +323,53 @@ class VolumeNet(StoredNetwork):
         step("")
         return costs_of(logits, hidden, grid)
 
+    def features_of(
+        self,
+        sweep: SphereSweep,
+        frame: Frame,
+        step: Callable[[str], object] = lambda what: None,
+    ) -> list[Tensor]:
+        """Return the feature maps of the images of a frame; keep masks.
+
+        `step` is called with the name of each part before it begins.
+        """
+        cameras, device = frame.rig.cameras, sweep.device
+
+        def find_visible() -> list[Tensor]:
+            return [torch.from_numpy(camera.visible_pixels()).to(device) for camera in cameras]
+
+        key, features = (VolumeNet, *(camera.image_size for camera in cameras)), []
+        masks = sweep.keep(key, find_visible) if sweep.keep_tables else find_visible()
+        with autocast(self.precision, device):
+            for k, (image, mask) in enumerate(zip(frame.gray, masks, strict=True), 1):
+                step(f"camera {k} of {len(cameras)}")
+                normalized = normalize(torch.from_numpy(image).to(device), mask)
+                features.append(self.features(normalized, mask))
+        return features
+
     def correlation_at(
         self,
         sweep: SphereSweep,
         frame: Frame,
         size: tuple[int, int, int],
+        features: Sequence[Tensor],
         step: Callable[[str], object] = lambda what: None,
     ) -> Tensor:
-        """Return the correlation volume of a frame at a size; keep masks and coordinates.
+        """Return the correlation volume at a size of `features_of` a frame; keep coordinates.
 
         `step` is called with the name of each part before it begins.
         """
-        small, device = frame.reduced(pixels_per_degree(size)), sweep.device
-        rig, kept = replace(sweep.rig, cameras=small.rig.cameras), sweep.keep_tables
+        rig = replace(sweep.rig, cameras=frame.rig.cameras)
 
-        def project() -> tuple[list[Tensor], Sequence[Tensor] | Sequence[Coordinates]]:
-            masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
-            if kept or device.type != "cpu":
-                return masks, feature_coordinates(rig, sweep.grid, size, device)
+        def project() -> Sequence[Tensor] | Sequence[Coordinates]:
+            if sweep.keep_tables or sweep.device.type != "cpu":
+                return feature_coordinates(rig, sweep.grid, size, sweep.device)
             # Read once: 80 MB less are held, and what is projected is still in the cache.
-            return masks, coordinates_of(rig, *volume_cells(sweep.grid, size))
+            return coordinates_of(rig, *volume_cells(sweep.grid, size))
 
         # What depends on the rig and the grid alone.
         step("tables")
-        masks, coordinates = sweep.keep((VolumeNet, size), project) if kept else project()
-        # What depends on the images.
-        features = []
-        with autocast(self.precision, device):
-            for k, (image, mask) in enumerate(zip(small.gray, masks, strict=True), 1):
-                step(f"camera {k} of {len(rig)}")
-                normalized = normalize(torch.from_numpy(image).to(device), mask)
-                features.append(self.features(normalized, mask))
+        coordinates = sweep.keep((VolumeNet, size), project) if sweep.keep_tables else project()
         # Not in the precision of the products, unless they are to follow at once, as in `volume`.
         step("correlation")
         return self.compare(features, coordinates)

@@ -205,11 +205,11 @@ def bench_volumenet(width: int, height: int, num: int) -> None:
     compare(f"ZNCC volume {scale}", lambda: cost_volume(sweep, images), None, bytes_moved)
     # Features of a camera, and the U-net, of the finest volume.
     size = volume_sizes(sweep.grid, sweep.rig)[-1]
-    frame = Frame.of(sweep.rig, images)
-    camera = frame.reduced(pixels_per_degree(size)).rig.cameras[0]
-    visible = torch.from_numpy(camera.visible_pixels())
+    frame = Frame.of(sweep.rig, images).reduced(pixels_per_degree(size))
+    visible = torch.from_numpy(frame.rig.cameras[0].visible_pixels())
     with torch.no_grad(), autocast("auto", visible.device):
-        correlation = network.correlation_at(sweep, frame, size)
+        features = network.features_of(sweep, frame)
+        correlation = network.correlation_at(sweep, frame, size, features)
         compare(
             f"VolumeNet {scale}: features of one camera",
             lambda: network.features(visible.float(), visible),

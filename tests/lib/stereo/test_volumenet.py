@@ -291,7 +291,7 @@ def test_a_correlation_that_is_asked_for_is_in_float32():
     bundled, rig, size = VolumeNet.pretrained(), scene.rig(width=60, height=56), (32, 16, 8)
     bundled.precision = "bfloat16"
     frame, sweep = osl.Frame.of(rig, scene.images(rig, finest=0.5)), SphereSweep(rig, GRID)
-    alone = bundled.correlation_at(sweep, frame, size)
+    alone = bundled.correlation_at(sweep, frame, size, bundled.features_of(sweep, frame))
     images, seen = torch.rand(2, 56, 60), torch.ones(2, 56, 60, dtype=torch.bool)
     coordinates = feature_coordinates(rig, GRID, size)[:2]
     with torch.autocast("cpu", torch.bfloat16):
@@ -381,6 +381,6 @@ def test_progress_goes_over_the_whole_work_and_names_its_parts(network):
     for hook in hooks:
         hook.remove()
     cameras = [f"camera {k} of 4" for k in (1, 2, 3, 4)]
-    names = ["tables", *cameras, "correlation", "U-net", ""]
-    before = [0, 0, 1, 2, 3, 4, 4, 5]
+    names = [*cameras, "tables", "correlation", "U-net", ""]
+    before = [0, 1, 2, 3, 4, 4, 4, 5]
     assert seen == [(k, 7, *named) for k, named in enumerate(zip(names, before, strict=True))]
