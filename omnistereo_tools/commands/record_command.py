@@ -38,6 +38,7 @@ from omnistereo_tools.parser import as_typed, option
 
 if TYPE_CHECKING:
     from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.stereo.depth import Depth
     from omnistereo_tools.input.sources import Recording
     from omnistereo_tools.record.recordings import DepthWriter
     from omnistereo_tools.record.watching import Watching
@@ -140,10 +141,11 @@ def run(options: RecordOptions) -> int:
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
+    known: dict[int, Depth] = {}
     if options.cluster is None:
-        writer = replace(
-            writer, method=Method.parse(say_recording(sweep, first[0], len(left), method))
-        )
+        method, found = say_recording(sweep, first[:2], len(left), method, precision)
+        writer = replace(writer, method=Method.parse(method))
+        known = dict(zip(sorted(recording.frames), found, strict=False))
     _prepare(options, writer, rig)
     if not left:
         say(f"all {total} frames are there already")
@@ -151,7 +153,7 @@ def run(options: RecordOptions) -> int:
     progress = progress_bar("frame")
     watching = Watching(rig, sweep, options.follow, out)
     for done, number in enumerate(
-        _frames_done(options, writer, left, watching), total - len(left) + 1
+        _frames_done(options, writer, left, watching, known), total - len(left) + 1
     ):
         progress(done, total, f"frame {number}")
     watching.close()
@@ -277,11 +279,15 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
 
 
 def _frames_done(
-    options: RecordOptions, writer: DepthWriter, left: Sequence[int], watching: Watching
+    options: RecordOptions,
+    writer: DepthWriter,
+    left: Sequence[int],
+    watching: Watching,
+    known: dict[int, Depth],
 ) -> Iterator[int]:
     """Compute the frames that are left, here or on the cluster; yield the number of each."""
     if options.cluster is None:
-        return writer.run(left, watching)
+        return writer.run(left, watching, known)
     from omnistereo_tools.record.cluster import depth_on_cluster
 
     return depth_on_cluster(options.cluster, writer, options.device)

@@ -7,8 +7,9 @@ import torch
 from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.device import select_device
-from omnistereo_lib.stereo.learned import choose_precision
+from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -51,21 +52,26 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
 
 
 def say_recording(
-    sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str | None
-) -> str:
-    """Say how long the frames of a recording will take, as its first one does, and by the other
-    methods, if that is more than a minute; return the method.
+    sweep: SphereSweep,
+    first: Sequence[Sequence[ArrayLike]],
+    frames: int,
+    method: str | None,
+    precision: Precision,
+) -> tuple[str, list[Depth]]:
+    """Say how long the frames of a recording will take, as its first ones do, and by the other
+    methods, if that is more than a minute; return the method, and what it has found by then.
 
     Args:
+        first: Images of the first two frames.
         method: None: the one with the lowest errors, if frames are few or it keeps `_PACE_S` here;
             else the fast one.
     """
-    chosen = method or FRAME_METHOD
+    chosen, found = method or FRAME_METHOD, dict[str, list[Depth]]()
     seconds: dict[str, float] = {}
     if frames >= _FEW_FRAMES:
-        say("timing the methods on one frame: a few seconds")
+        say("timing the methods on two frames: a few seconds")
         for name in dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD]):
-            seconds[name] = _measure(sweep, images, name)
+            seconds[name], found[name] = _measure(sweep, first, name, precision)
             if seconds[name] <= min(_PACE_S, _SOON_S / frames):
                 break
     if method is None:
@@ -75,12 +81,12 @@ def say_recording(
     for name in sorted(seconds, key=chosen.__ne__):
         words = f"about {in_words(frames * seconds[name])} by {name}"
         say(f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})")
-    return chosen
+    return chosen, found.get(chosen, [])
 
 
 def live_method(sweep: SphereSweep, images: Sequence[ArrayLike]) -> str:
     """Return the method with the lowest errors if it keeps `_LIVE_S` here, else the fast one."""
-    keeps = _measure(sweep, images, FRAME_METHOD) <= _LIVE_S
+    keeps = _measure(sweep, [images, images], FRAME_METHOD)[0] <= _LIVE_S
     chosen = FRAME_METHOD if keeps else VIDEO_METHOD
     say(f"method: {chosen}, {_why(keeps)} (--method chooses another)")
     return chosen
@@ -90,12 +96,20 @@ def _why(keeps: bool) -> str:
     return "the lowest errors" if keeps else f"faster than {FRAME_METHOD}, but more is doubtful"
 
 
-def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:
-    """Return how many seconds a frame takes, once tables and network are there."""
-    sweep_depth(sweep, images, method)
-    start = time.perf_counter()
-    sweep_depth(sweep, images, method)
-    return time.perf_counter() - start
+def _measure(
+    sweep: SphereSweep,
+    frames: Sequence[Sequence[ArrayLike]],
+    method: str,
+    precision: Precision = "auto",
+) -> tuple[float, list[Depth]]:
+    """Return how many seconds the last of some frames takes, once tables and network are there, and
+    the depth of all.
+    """
+    depths = []
+    for images in frames:
+        start = time.perf_counter()
+        depths.append(sweep_depth(sweep, images, method, precision=precision))
+    return time.perf_counter() - start, depths
 
 
 def in_words(seconds: float) -> str:

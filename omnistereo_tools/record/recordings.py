@@ -23,7 +23,7 @@ import json
 import shutil
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -150,12 +150,20 @@ class DepthWriter:
         mark = cache(_mark)  # a video is the same for all frames
         return {number: list(map(mark, self._pictures(number))) for number in self.recording.frames}
 
-    def run(self, numbers: Sequence[int], watching: Watching | None = None) -> Iterator[int]:
+    def run(
+        self,
+        numbers: Sequence[int],
+        watching: Watching | None = None,
+        known: Mapping[int, Depth] | None = None,
+    ) -> Iterator[int]:
         """Estimate and write the depth of some frames, in ascending order; yield the number of
         each.
 
         Reading, computing and writing overlap; memory does not grow with the number of frames. The
         rig is looked at in between.
+
+        Args:
+            known: Depth of frames that is there already, by the method and the sweep.
 
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
@@ -171,7 +179,9 @@ class DepthWriter:
                 if told := black_cameras(images):
                     say(f"frame {number}: {told}")
                 sweep = self.sweep if watching is None else watching.sweep_of(number, images)
-                depth = sweep_depth(sweep, images, self.method, precision=self.precision)
+                depth = (known or {}).get(number)
+                if depth is None or depth.sweep is not sweep:
+                    depth = sweep_depth(sweep, images, self.method, precision=self.precision)
                 written.append(pool.submit(self.write, number, images, depth))
                 if len(written) > _PENDING:
                     written.popleft().result()

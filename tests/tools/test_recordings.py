@@ -306,9 +306,8 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     recorded, tmp_path, capsys, monkeypatch, seconds, method
 ):
     monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
-    monkeypatch.setattr(
-        pace, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5
-    )
+    measured = lambda sweep, first, name, _: (seconds if name == FRAME_METHOD else 0.5, [])  # noqa: E731
+    monkeypatch.setattr(pace, "_measure", measured)
     command = record_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
     assert run(*command, "--frames", ":3") == 0
@@ -316,12 +315,24 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     said = capsys.readouterr().err
     assert f"method: {method}, " in said and f"2 frames: about {took} by {method}\n" in said
     # the machine is busy, or no longer
-    monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)
+    monkeypatch.setattr(pace, "_measure", lambda *_: (4.0 - seconds, []))
     assert run(*command) == 0
     assert (
         json.loads((tmp_path / "out" / "recording.json").read_text())["provenance"]["method"]
         == method
     )
+
+
+def test_frames_that_were_timed_are_not_computed_again(recorded, done, tmp_path, monkeypatch):
+    monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
+    estimate, computed = recordings.sweep_depth, []
+    counted = lambda *args, **of: computed.append(args) or estimate(*args, **of)  # noqa: E731
+    for module in (pace, recordings):
+        monkeypatch.setattr(module, "sweep_depth", counted)
+    assert run(*record_command(recorded, tmp_path / "out")) == 0
+    assert len(computed) == FRAMES
+    for frame, alone in zip(*map(osl.load_dataset, (tmp_path / "out", done)), strict=True):
+        np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth)
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
