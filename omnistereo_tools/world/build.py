@@ -26,6 +26,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -56,7 +57,7 @@ from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
 from omnistereo_tools.record.recordings import SETTINGS, TIMES
 from omnistereo_tools.world.fusion import View, Volume
-from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_step
+from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_step, step_anywhere
 from omnistereo_tools.world.refine import mix, moving_rays
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
@@ -239,8 +240,7 @@ class RecordedFrames:
     def _sighting(self, frame: Frame) -> Sighting:
         if told := black_cameras(frame.images):
             say(f"frame {frame.number}: {told}")
-        self._finder.rig = self.sweep_of(frame).rig
-        return self._finder.find(frame.images, frame.inverse_depth)
+        return self._finder.find(frame.images, frame.inverse_depth, self.sweep_of(frame).rig)
 
     @cached_property
     def _finder(self) -> SightingFinder:
@@ -262,14 +262,20 @@ class RecordedFrames:
         """
         steps, progress = _StoredSteps(path, self.sums), progress_bar("frame")
         base, last, lost, total = self.data[0], Pose.identity(), 0, len(self.data)
-        seen: dict[int, Future[Sighting]] = {}
-        parts = [{base.number: Pose.identity()}]
-        with ThreadPoolExecutor(1) as ahead:
+        rig, parts = self.sweep.rig, [{base.number: Pose.identity()}]
+        seen, matched = dict[int, Future[Sighting]](), dict[tuple[int, int], Future[Step]]()
+        with ThreadPoolExecutor(2) as ahead:
 
-            def look(frame: Frame) -> Future[Sighting]:
-                if frame.number not in seen:
-                    seen[frame.number] = ahead.submit(self._sighting, frame)
-                return seen[frame.number]
+            def match(a: Frame, b: Frame) -> Future[Step]:
+                for frame in (a, b):
+                    if frame.number not in seen:
+                        seen[frame.number] = ahead.submit(self._sighting, frame)
+                one, other, key = seen[a.number], seen[b.number], (a.number, b.number)
+                if key not in matched:
+                    matched[key] = ahead.submit(
+                        lambda: step_anywhere(rig, one.result(), other.result())
+                    )
+                return matched[key]
 
             for k in range(1, total):
                 frame = self.data[k]
@@ -277,15 +283,17 @@ class RecordedFrames:
                 step = steps.get(base, frame)
                 if step is None:
                     guess = last if len(parts[-1]) > 1 else None
-                    a, b = look(base), look(frame)
-                    # The next frame is looked at while this step is found.
-                    kept = {base.number, frame.number}
-                    if k + 1 < total:
-                        look(self.data[k + 1])
-                        kept.add(self.data[k + 1].number)
-                    step = rig_step(self.sweep.rig, a.result(), b.result(), guess)
+                    found = match(base, frame)
+                    # Meanwhile the next two, as if this step and those were sure.
+                    following = [*self.data[k : k + 3]]
+                    for one, other in pairwise(following):
+                        match(one, other)
+                    a, b = seen[base.number].result(), seen[frame.number].result()
+                    step = rig_step(rig, a, b, guess, found.result())
                     steps.add(base, frame, step)
+                    kept = {base.number, *(one.number for one in following)}
                     seen = {number: one for number, one in seen.items() if number in kept}
+                    matched = {key: one for key, one in matched.items() if kept.issuperset(key)}
                 if step.sure:
                     parts[-1][frame.number] = parts[-1][base.number] @ step.T
                     base, last, lost = frame, step.T, 0

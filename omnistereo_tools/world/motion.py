@@ -66,19 +66,26 @@ class SightingFinder:
 
     def __init__(self, rig: Rig, grid: SphereGrid) -> None:
         self.rig, self.grid = rig, grid
-        self.finders = [FeatureFinder(camera) for camera in rig.cameras]
+        self.finders = [*map_threads(FeatureFinder, rig.cameras)]
 
     def find(
-        self, images: Sequence[NDArray[np.uint8]], inverse_depth: NDArray[np.float32]
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        inverse_depth: NDArray[np.float32],
+        rig: Rig | None = None,
     ) -> Sighting:
-        """Return the features of images, at the inverse depth (H, W) around the rig's centre."""
+        """Return the features of images, at the inverse depth (H, W) around the rig's centre.
+
+        Args:
+            rig: If its cameras have turned since.
+        """
         inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
         spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(
             inverse_depth, np.ones((3, 3))
         )
         found, inverse, sd = [], [], []
         each = map_threads(FeatureFinder.find, self.finders, images)
-        for features, pose in zip(each, self.rig.T_rig_cam, strict=True):
+        for features, pose in zip(each, (rig or self.rig).T_rig_cam, strict=True):
             rays = features.rays @ pose.R.T
             distance, points = self._distances(inverse_depth, pose.t, rays)
             valid = self.grid.project(points)[1]
@@ -154,7 +161,14 @@ class _End:
 _Matches = tuple[_End, _End]
 
 
-def rig_step(rig: Rig, a: Sighting, b: Sighting, last: Pose | None = None) -> Step:
+def step_anywhere(rig: Rig, a: Sighting, b: Sighting) -> Step:
+    """Return the step T_a_b of the rig from frame a to frame b by matches found anywhere."""
+    return _refine(rig, a, b, _search(_match(rig, a, b)))
+
+
+def rig_step(
+    rig: Rig, a: Sighting, b: Sighting, last: Pose | None = None, anywhere: Step | None = None
+) -> Step:
     """Return the step T_a_b of the rig from frame a to frame b.
 
     Façades repeat, so the step has several optima. Two are compared by their inliers: that of
@@ -163,8 +177,9 @@ def rig_step(rig: Rig, a: Sighting, b: Sighting, last: Pose | None = None) -> St
     Args:
         rig: Its origin is the centre of the panoramas.
         last: The step before this one.
+        anywhere: The `step_anywhere`, if it is known.
     """
-    steps = [_refine(rig, a, b, _search(_match(rig, a, b)))]
+    steps = [anywhere or step_anywhere(rig, a, b)]
     if last is not None:
         # Some of the features tell where it leads; where that is the same step, once is enough.
         some = a.some(_COARSE)
