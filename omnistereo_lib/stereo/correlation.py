@@ -102,7 +102,7 @@ def feature_coordinates(
     """
     rays, inverse_depth = (cells.to(device) for cells in volume_cells(grid, size))
     coordinates = coordinates_of(rig, rays, inverse_depth)
-    tables = [torch.empty(*size, 2, device=device) for _ in coordinates]
+    tables = [torch.empty(*size, 2, dtype=rays.dtype, device=device) for _ in coordinates]
 
     def fill(columns: Tensor) -> None:
         for table, of_camera in zip(tables, coordinates, strict=True):

@@ -39,7 +39,7 @@ def map_rows(function: Callable[..., Tensor], *volumes: Any) -> Tensor:
     each = max(1, PART // (width * cells))
     parts = [slice(y, y + each) for y in range(0, height, each)]
     return torch.cat(
-        list(map_threads(lambda part: function(*(one[part] for one in volumes)), parts)), 1
+        list(map_threads(lambda part: function(*(one[part].detach() for one in volumes)), parts)), 1
     )
 
 

@@ -67,7 +67,8 @@ def costs_by_rows(
     _check_network(getattr(cost, "network", cost))
     pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
     volume = cost.volume(sweep, Frame.of(sweep.rig, images), pairs, progress)
-    rows = volume[:1] if getattr(volume, "shape", ()) == shape else None
+    fits = getattr(volume, "shape", ()) == shape and hasattr(volume, "__getitem__")
+    rows = volume[:1] if fits else None
     if not (isinstance(rows, Tensor) and rows.is_floating_point()):
         kind = (
             f"{volume.dtype} of shape {tuple(volume.shape)}"

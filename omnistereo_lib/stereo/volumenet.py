@@ -419,7 +419,7 @@ def along_rays(logits: Tensor, num_spheres: int) -> Tensor:
     """Return the matrix (n, N) whose product with logits (…, n) resizes rays to N spheres."""
     # Cubic interpolation along the ray is linear in the logits: that of the unit vectors.
     n = logits.shape[-1]
-    cells = torch.eye(n, device=logits.device)[None, None]
+    cells = torch.eye(n, dtype=logits.dtype, device=logits.device)[None, None]
     return interpolate(cells, (n, num_spheres), mode="bicubic", align_corners=False)[0, 0]
 
 

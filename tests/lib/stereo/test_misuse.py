@@ -3,6 +3,7 @@
 import dataclasses
 import multiprocessing
 from copy import deepcopy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from omnistereo_learn.recipes import SweepNetRecipe
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.learned import LearnedCost
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import COSTS, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_rigs import Checkerboard, calibrate_camera, calibrate_rig
@@ -175,6 +176,7 @@ def rig(pose=0.0, min_depth=None):
         (lambda: volume(Silent()), r"gives None; expected .* \(12, 48, 4\)"),
         (lambda: volume(Whole(None)), "Whole.* returns None; expected a float tensor"),
         (lambda: volume(Whole(torch.zeros(4, 12, 48))), r"returns .* \(4, 12, 48\); expected"),
+        (lambda: volume(Whole(SimpleNamespace(shape=(12, 48, 4)))), "Whole.* returns namespace"),
         (lambda: volume(osl.ZNCC), "cost is <class .*; expected an object"),
         (lambda: volume(osl.MCCNN().half()), "the network has weights of type torch.float16"),
         (lambda: volume(osl.MCCNN().to("meta")), "the network has no weights"),
@@ -233,6 +235,24 @@ def test_what_was_checked_does_not_change_afterwards():
     pose, camera = osl.Pose(np.eye(3), t), dataclasses.replace(RIG.cameras[0], poly=poly)
     t[0], poly[0] = 1, -1
     assert (pose.t == 0).all() and camera.poly[0] == RIG.cameras[0].poly[0]
+
+
+@pytest.mark.parametrize("method", ["zncc+sgm", "volumenet"])
+def test_costs_that_require_grad_are_read(monkeypatch, method):
+    """In place of a cost whose errors were measured: its evidence is read, too."""
+    cost, own = Method.parse(method).cost, Whole(torch.rand(12, 48, 4, requires_grad=True))
+    monkeypatch.setitem(COSTS, cost, dataclasses.replace(COSTS[cost], load=lambda *_: own))
+    assert np.isfinite(depth(method=method).sigma).all()
+
+
+def test_float64_as_the_default_of_torch_changes_nothing():
+    expected = sweep_depth(osl.SphereSweep(RIG, GRID), IMAGES, "volumenet")
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = sweep_depth(osl.SphereSweep(RIG, GRID), IMAGES, "volumenet")
+    finally:
+        torch.set_default_dtype(torch.float32)
+    np.testing.assert_array_equal(found.index, expected.index)
 
 
 def test_costs_that_are_large_stay_finite():
