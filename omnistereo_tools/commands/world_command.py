@@ -10,6 +10,7 @@ Examples:
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import MISSING, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -157,7 +158,9 @@ def _write(
     say("extracting the surface")
     out = refined.parent
     fused = ((T, read_inverse_depth(refined / f"{n:05}.tiff")) for n, T in poses.items())
-    surface = seen_surface(extract_surface(volume), fused, frames.grid)
+    with ThreadPoolExecutor(1) as beside:
+        views = beside.submit(_page_views, frames, poses, refined)
+        surface = seen_surface(extract_surface(volume), fused, frames.grid)
     if len(surface.faces) == 0:
         raise OmnistereoError(
             f"no surface is left of {options.recording}. Pass a smaller --voxel or a larger --range"
@@ -184,8 +187,7 @@ def _write(
         if drift is not None
         else f"The path is {length:.1f} m long; its drift is unknown, as it does not return.",
     ]
-    views = _page_views(frames, poses, refined)
-    what = surface, poses, views, frames.grid, options.range
+    what = surface, poses, views.result(), frames.grid, options.range
     texts = {"index.html": world_page(*what, verdict, sentences)}
     texts["trajectory.txt"] = trajectory_tum(poses)
     if (times := frames.times) and times.keys() >= poses.keys():

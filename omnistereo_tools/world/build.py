@@ -51,6 +51,7 @@ from omnistereo_lib.pictures import check_image
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.input.masks import black_cameras
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
@@ -365,11 +366,10 @@ class RecordedFrames:
     ) -> Iterator[tuple[int, _Result]]:
         """Yield the number of each frame, and what a function returns of it, in two threads."""
         progress = progress_bar("frame")
-        with ThreadPoolExecutor(2) as pool:
-            found = pool.map(lambda number: function(self.data.frame(number), poses[number]), poses)
-            for done, (number, result) in enumerate(zip(poses, found, strict=True)):
-                progress(done, len(poses), f"{words}, frame {number}")
-                yield number, result
+        found = map_threads(lambda number: function(self.data.frame(number), poses[number]), poses)
+        for done, (number, result) in enumerate(zip(poses, found, strict=True)):
+            progress(done, len(poses), f"{words}, frame {number}")
+            yield number, result
         progress(len(poses), len(poses), "")
 
     def link(self, out: Path) -> None:

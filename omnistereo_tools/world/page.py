@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
 from omnistereo_tools.output.points import AXES
@@ -80,6 +81,12 @@ def world_page(
     size = np.maximum(small.vertices.max(axis=0) - low, 1e-6)
     chosen = choose_views(small, ((view.pose, view.refined) for view in views), grid)
     order = np.argsort(chosen, kind="stable")
+
+    def draw(view: PageView) -> dict[str, str]:
+        depths = {"before": view.own, "after": view.refined}
+        pictures = {name: webp(colorize_depth(one, grid), 80) for name, one in depths.items()}
+        return {"picture": webp(panorama_with_far(view, farthest), 70), **pictures}
+
     data = {
         "title": title,
         "words": " ".join(sentences),
@@ -98,11 +105,9 @@ def world_page(
                 "triangles": int((chosen == k).sum()),
                 "turn": view.pose.R.ravel().tolist(),
                 "place": view.pose.t.tolist(),
-                "picture": webp(panorama_with_far(view, farthest), 70),
-                "before": webp(colorize_depth(view.own, grid), 80),
-                "after": webp(colorize_depth(view.refined, grid), 80),
+                **pictures,
             }
-            for k, view in enumerate(views)
+            for k, (view, pictures) in enumerate(zip(views, map_threads(draw, views), strict=True))
         ],
         "path": [
             {
