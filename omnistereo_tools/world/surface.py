@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +62,10 @@ def seen_surface(
     of the training drive (320 x 80, VolumeNet) 57 and 3 % of what is over 1 m from the truth goes;
     82 and 68 % of the truth still have a surface within 30 cm, .8 and .1 less.
     """
-    unseen = np.arange(len(surface.faces))
+    places, unseen = _places(surface), np.arange(len(surface.faces))
     for view in views:
-        left = replace(surface, faces=surface.faces[unseen])
-        unseen = unseen[choose_views(left, [view], grid) < 0]
+        some = [of_each[unseen] for of_each in places]
+        unseen = np.delete(unseen, _seen_larger(*some, np.zeros(len(unseen)), *view, grid)[0])
     return _without_small_pieces(replace(surface, faces=np.delete(surface.faces, unseen, axis=0)))
 
 
@@ -76,21 +77,39 @@ def choose_views(
     Args:
         views: Rig → world, and the inverse depth (H, W), 1/m, of the fused frame.
     """
+    places = _places(surface)
+    best, chosen = np.zeros(len(surface.faces), np.float32), np.full(len(surface.faces), -1)
+    for k, view in enumerate(views):
+        seen, size = _seen_larger(*places, best, *view, grid)
+        chosen[seen], best[seen] = k, size
+    return chosen
+
+
+def _places(surface: Surface) -> tuple[_Single, _Single]:
+    """Return the middle and the normal of each triangle, (F, 3)."""
     corners = surface.vertices[surface.faces]
-    middle = corners.mean(axis=1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    best, chosen = np.zeros(len(middle), np.float32), np.full(len(middle), -1)
-    for k, (pose, inverse_depth) in enumerate(views):
-        away = middle - pose.t.astype(np.float32)
-        distance = np.sqrt(np.einsum("ki,ki->k", away, away))
-        size = -np.einsum("ki,ki->k", away, normals) / distance**3
-        larger = np.flatnonzero(size > best)
-        inverse, inside = grid.look_up(inverse_depth, away[larger] @ pose.R)
-        # Nothing is before it: a panorama that ends there shows it.
-        seen = larger[inside & (np.abs(inverse * distance[larger] - 1) < _SAME)]
-        chosen[seen], best[seen] = k, size[seen]
-    return chosen
+    return corners.mean(axis=1), normals
+
+
+def _seen_larger(
+    middle: _Single,
+    normals: _Single,
+    least: NDArray[Any],
+    pose: Pose,
+    inverse_depth: _Single,
+    grid: SphereGrid,
+) -> tuple[NDArray[np.int64], _Single]:
+    """Return the triangles that a frame sees larger than `least`, and how large."""
+    away = middle - pose.t.astype(np.float32)
+    distance = np.sqrt(np.einsum("ki,ki->k", away, away))
+    size = -np.einsum("ki,ki->k", away, normals) / distance**3
+    larger = np.flatnonzero(size > least)
+    inverse, inside = grid.look_up(inverse_depth, away[larger] @ pose.R)
+    # Nothing is before it: a panorama that ends there shows it.
+    seen = larger[inside & (np.abs(inverse * distance[larger] - 1) < _SAME)]
+    return seen, size[seen]
 
 
 def _without_small_pieces(surface: Surface) -> Surface:
