@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +61,11 @@ def seen_surface(
     of the training drive (320 x 80, VolumeNet) 57 and 3 % of what is over 1 m from the truth goes;
     82 and 68 % of the truth still have a surface within 30 cm, .8 and .1 less.
     """
-    places, unseen = _places(surface), np.arange(len(surface.faces))
+    (middle, normals), unseen = _places(surface), np.arange(len(surface.faces))
     for view in views:
-        some = [of_each[unseen] for of_each in places]
-        unseen = np.delete(unseen, _seen_larger(*some, np.zeros(len(unseen)), *view, grid)[0])
+        none = np.zeros(len(unseen), np.float32)
+        seen, _ = _seen_larger(middle[unseen], normals[unseen], none, view, grid)
+        unseen = np.delete(unseen, seen)
     return _without_small_pieces(replace(surface, faces=np.delete(surface.faces, unseen, axis=0)))
 
 
@@ -77,10 +77,10 @@ def choose_views(
     Args:
         views: Rig → world, and the inverse depth (H, W), 1/m, of the fused frame.
     """
-    places = _places(surface)
-    best, chosen = np.zeros(len(surface.faces), np.float32), np.full(len(surface.faces), -1)
+    middle, normals = _places(surface)
+    best, chosen = np.zeros(len(middle), np.float32), np.full(len(middle), -1)
     for k, view in enumerate(views):
-        seen, size = _seen_larger(*places, best, *view, grid)
+        seen, size = _seen_larger(middle, normals, best, view, grid)
         chosen[seen], best[seen] = k, size
     return chosen
 
@@ -94,14 +94,10 @@ def _places(surface: Surface) -> tuple[_Single, _Single]:
 
 
 def _seen_larger(
-    middle: _Single,
-    normals: _Single,
-    least: NDArray[Any],
-    pose: Pose,
-    inverse_depth: _Single,
-    grid: SphereGrid,
+    middle: _Single, normals: _Single, least: _Single, view: tuple[Pose, _Single], grid: SphereGrid
 ) -> tuple[NDArray[np.int64], _Single]:
     """Return the triangles that a frame sees larger than `least`, and how large."""
+    pose, inverse_depth = view
     away = middle - pose.t.astype(np.float32)
     distance = np.sqrt(np.einsum("ki,ki->k", away, away))
     size = -np.einsum("ki,ki->k", away, normals) / distance**3
@@ -114,12 +110,13 @@ def _seen_larger(
 
 def _without_small_pieces(surface: Surface) -> Surface:
     faces, count = surface.faces, len(surface.vertices)
-    graph = coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 1])), (count, count))
-    graph += coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 2])), (count, count))
+    ends = np.tile(faces[:, 0], 2), faces[:, 1:].T.ravel()
+    graph = coo_matrix((np.ones(2 * len(faces), bool), ends), (count, count))
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     faces = faces[np.bincount(piece)[piece] >= _LEAST_TRIANGLES] if len(faces) else faces
-    used, corners = np.unique(faces, return_inverse=True)
-    return Surface(surface.vertices[used], corners.reshape(-1, 3), surface.color[used])
+    used = np.zeros(count, bool)
+    used[faces] = True
+    return Surface(surface.vertices[used], (np.cumsum(used) - 1)[faces], surface.color[used])
 
 
 @_loop
