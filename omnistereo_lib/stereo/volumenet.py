@@ -263,19 +263,22 @@ class VolumeNet(StoredNetwork):
         return self.run_unet(self.prepare(volume))
 
     def prepare(self, volume: Tensor) -> Tensor:
-        """Return the volume (B, 9, W, H, N) as a copy in the layout and precision of the U-net."""
-        # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
-        # leaves odd strides. oneDNN's blocked and prepacked forms take as long: 10.7 to 12.4 ms of
-        # one core for 16 channels of 160 × 40 × 48, 390 GFLOP/s; only the head's single channel has
-        # 25.
+        """Return the volume (B, 9, W, H, N) in the layout and precision of the U-net."""
+        # Channels last, a layout that every layer keeps: twice as fast. oneDNN's blocked and
+        # prepacked forms take as long: 10.7 to 12.4 ms of one core for 16 channels of 160 × 40 ×
+        # 48, 390 GFLOP/s; only the head's single channel has 25.
         kind = volume.device.type
         half = not self.training and torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if half else volume.dtype
-        return volume.to(dtype, copy=True, memory_format=torch.channels_last_3d)
+        return volume.to(dtype, memory_format=torch.channels_last_3d)
 
     def run_unet(self, volume: Tensor) -> Tensor:
         """Return the logits (B, W, H, N) of a volume from `prepare`."""
-        levels = [self.stem(volume)]
+        # One by one: each volume goes as soon as the next is there.
+        for layer in self.stem:
+            volume = layer(volume)
+        levels = [volume]
+        del volume
         # Down: every level is kept for the way up. Then up from the coarsest one.
         for down in self.down:
             levels.append(down(levels[-1]))
@@ -314,10 +317,10 @@ class VolumeNet(StoredNetwork):
                 # The last channel is k / 4, so 0.5 for two cameras.
                 shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
                 step("U-net")
-                prepared = self.prepare(correlation[None])
+                # Channels last already: the strides of a plain `[None]` would take a copy.
+                prepared = [self.prepare(correlation.movedim(0, -1)[None].movedim(-1, 1))]
                 del correlation  # before the U-net, whose levels take the most memory
-                logits.append(self.run_unet(prepared) / len(sizes))
-                del prepared
+                logits.append(self.run_unet(prepared.pop()) / len(sizes))
         # Rays that fewer than two cameras see in every cell have no cost.
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
         step("")

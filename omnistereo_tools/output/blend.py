@@ -39,10 +39,8 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
         array, shape (cameras, channels), where gray has one channel
     """
     samples = depth.samples.reshape(*depth.samples.shape[:3], -1)  # (cameras, H, W, channels)
-    usable, one = (
-        np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1),
-        np.eye(len(samples)),
-    )
+    usable = np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1)
+    one = np.eye(len(samples))
     rows, ratios = [np.ones(len(samples))], [np.zeros(samples.shape[-1])]
     for i, j in combinations(range(len(samples)), 2):
         both = usable[i] & usable[j]
@@ -80,13 +78,13 @@ def blended_panoramas(
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     rig, grid = depth.sweep.rig, depth.grid
     weights = depth.sweep.keep("weights", lambda: [*map_threads(_distance_from_rim, rig.cameras)])
-    # Σ weight · colour, and Σ weight
-    sizes = [(f * grid.height, f * grid.width, gains.shape[1] + 1) for f in factors]
-    totals = [np.zeros(size, np.float32) for size in sizes]
     # In float32, by torch: three times as fast as `project_sphere`.
     rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(grid.rays()).float())
     coarse = _project(rig, rays, depth.inverse_depth)
     places = [_pixels(depth, coarse, factor) for factor in factors]
+    # Σ weight · colour, and Σ weight
+    sizes = [(f * grid.height, f * grid.width, gains.shape[1] + 1) for f in factors]
+    totals = [np.zeros(size, np.float32) for size in sizes]
     for k, (weight, image, gain) in enumerate(zip(weights, depth.images, gains, strict=True)):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         shares = np.dstack([bright * weight, weight])
@@ -132,9 +130,8 @@ def _pixels(
     index, (rows, columns) = finer_index(depth, factor)
     fine = replace(grid, width=factor * grid.width, height=factor * grid.height)
     theta, phi = fine.thetas()[columns], fine.phis()[rows]
-    directions = np.stack(
-        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1
-    )
+    level = np.cos(phi)
+    directions = np.stack([level * np.sin(theta), np.sin(phi), level * np.cos(theta)], -1)
     inverse_depth = grid.index_to_inverse_depth(index[rows, columns])
     at_edges = _project(rig, torch.from_numpy(directions[None]).float(), inverse_depth[None])
 
@@ -173,9 +170,8 @@ def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[N
     surfaces = shares * [values > middle, values <= middle, np.isnan(values)]
     most = surfaces.sum(1).argmax(0)
     weights = np.take_along_axis(surfaces, most[None, None], 0)[0]
-    fine[chosen] = np.where(
-        most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0)
-    )
+    mean = (weights * np.nan_to_num(values)).sum(0) / weights.sum(0)
+    fine[chosen] = np.where(most == 2, np.nan, mean)
     return fine, chosen
 
 

@@ -47,11 +47,12 @@ def draw_surfaces(
     ends[hit] = rays[hit] * distance[hit, None] + T_rig_view.t.astype(np.float32)
     height, width = panorama.shape[:2]
     clouded = cv2.resize(doubts.astype(np.float32), (width, height))
-    seen = paint(np.dstack([panorama.astype(np.float32), clouded]), depth.grid, ends)
     far = (depth.depth > limits.max_depth).astype(np.float32)
-    hidden = np.where(hit, _FADE * seen[..., 3], 1 - paint(far, depth.grid, rays))[..., None]
-    colors = brighter(seen[..., :3])
-    return np.asarray(colors + hidden * (np.float32(BACKGROUND) - colors), np.uint8)
+    colors = brighter(paint(panorama, depth.grid, ends, np.float32))
+    hidden = np.empty_like(distance)
+    hidden[hit] = np.float32(_FADE) * paint(clouded, depth.grid, ends[hit])
+    hidden[~hit] = 1 - paint(far, depth.grid, rays[~hit])
+    return np.asarray(colors + hidden[..., None] * (np.float32(BACKGROUND) - colors), np.uint8)
 
 
 def brighter(colors: NDArray[Any]) -> NDArray[np.uint8]:
@@ -148,19 +149,25 @@ def view_rays(T_world_view: Pose, focal: float, size: tuple[int, int]) -> NDArra
     return right[:, None] * axes[:, 0] + (down[:, None] * axes[:, 1] + axes[:, 2])[:, None]
 
 
-def paint(panorama: NDArray[Any], grid: SphereGrid, rays: NDArray[np.float32]) -> NDArray[Any]:
-    """Return what a panorama of any size, (h, w) or (h, w, 3), shows along rays (..., 3)."""
+def paint(
+    panorama: NDArray[Any], grid: SphereGrid, rays: NDArray[np.float32], dtype: Any = None
+) -> NDArray[Any]:
+    """Return what a panorama of any size, (h, w) or (h, w, C), shows along rays (..., 3), in its
+    type or another.
+    """
     height, width = panorama.shape[:2]
     low, high = np.radians(grid.phi_deg).astype(np.float32)
     x, y, z = rays.reshape(-1, 3).T
     column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * width + np.float32(0.5)
     row = (np.arctan2(y, np.hypot(x, z)) - low) * (height / (high - low)) - np.float32(0.5)
     # In rows of some length, since OpenCV takes none of more than 32767.
-    count, missing = len(column), -len(column) % _ROW
-    columns, rows = (
-        np.pad(one, (0, missing)).reshape(-1, _ROW) for one in (column, row.clip(0, height - 1))
-    )
-    wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], 1)
-    seen = cv2.remap(wrapped, columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    values = seen.reshape(-1, *panorama.shape[2:])[:count]
-    return values.reshape(*rays.shape[:-1], *panorama.shape[2:])
+    count, missing = len(column), _ROW - len(column) % _ROW
+    places = column, row.clip(0, height - 1)
+    columns, rows = (np.pad(one, (0, missing)).reshape(-1, _ROW) for one in places)
+    # A channel at a time: a panorama in float32 with its copy would take 0.2 GB.
+    channels = []
+    for plane in np.moveaxis(panorama.reshape(height, width, -1), -1, 0):
+        wrapped = np.concatenate([plane[:, -1:], plane, plane[:, :1]], 1, dtype=dtype)
+        seen = cv2.remap(wrapped, columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        channels.append(seen.ravel()[:count])
+    return np.stack(channels, -1).reshape(*rays.shape[:-1], *panorama.shape[2:])

@@ -374,7 +374,7 @@ def test_progress_goes_over_the_whole_work_and_names_its_parts(network):
     rig, seen, done = scene.rig(width=100, height=96), [], []
     hooks = [
         network.features.register_forward_hook(lambda *_: done.append("camera")),
-        network.stem.register_forward_hook(lambda *_: done.append("U-net")),
+        network.up[0].register_forward_hook(lambda *_: done.append("U-net")),
     ]
     progress = lambda *call: seen.append((*call, len(done)))  # noqa: E731
     cost_volume(SphereSweep(rig, GRID), scene.images(rig, finest=0.25), network, progress=progress)
