@@ -199,9 +199,7 @@ def off_plane(a: Pose, b: Pose, x: Floats, y: Floats) -> Floats:
     baseline = b.t - a.t
     length = max(float(np.linalg.norm(baseline)), 1e-12)
     u, cosine = baseline / length, np.einsum("mi,mi->m", x, y)
-    shorter = np.minimum(
-        np.linalg.norm(np.cross(u, x), axis=1), np.linalg.norm(np.cross(u, y), axis=1)
-    )
+    shorter = np.minimum(*(np.linalg.norm(np.cross(u, ray), axis=1) for ray in (x, y)))
     sines = np.abs(np.cross(x, y) @ u) / np.maximum(shorter, 1e-9)
     along_x, along_y = x @ u, y @ u
     # Where the rays are nearest to each other, times a positive factor; far points may lie just

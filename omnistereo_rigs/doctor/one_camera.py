@@ -54,9 +54,8 @@ def free_focal_lengths(evidence: Evidence, rig: Rig) -> list[Freed]:
                 scaled_lens(c, scale) if k in cameras else c for k, c in enumerate(rig.cameras)
             ]
             other = replace(rig, cameras=tuple(lenses))
-            tried.append(
-                Freed(other, cameras, float(evidence.counts(other).sum() / 2), float(scale))
-            )
+            score = float(evidence.counts(other).sum() / 2)
+            tried.append(Freed(other, cameras, score, float(scale)))
         found.append(max(tried, key=lambda one: one.score))
     return sorted(found, key=lambda one: -one.score)
 
@@ -78,9 +77,8 @@ def _free_pose(evidence: Evidence, rig: Rig, k: int, pairs: dict[Pair, RelativeP
     for j in others:
         x, y = evidence.rays(rig.cameras, (min(j, k), max(j, k)))
         mine, its = (x, y) if k < j else (y, x)
-        seen.append(
-            (mine, its @ rig.T_rig_cam[j].R.T, np.broadcast_to(rig.T_rig_cam[j].t, mine.shape))
-        )
+        R, t = rig.T_rig_cam[j].R, rig.T_rig_cam[j].t
+        seen.append((mine, its @ R.T, np.broadcast_to(t, mine.shape)))
     x, y, c = (np.concatenate(part) for part in zip(*seen, strict=True))
     best = Freed(rig, (k,), float(evidence.counts(rig).sum() / 2))
     if len(x) < 12:
@@ -127,12 +125,9 @@ def _fit(start: Pose, x: Floats, y: Floats, c: Floats) -> Pose:
         seen, baseline = x @ now.R.T, now.t - c
         u = baseline / np.maximum(np.linalg.norm(baseline, axis=1, keepdims=True), 1e-9)
         # As in `off_plane`, with the baseline from each other camera to this one.
-        shorter = np.minimum(
-            np.linalg.norm(np.cross(u, seen), axis=1), np.linalg.norm(np.cross(u, y), axis=1)
-        )
-        return np.asarray(
-            np.einsum("mi,mi->m", np.cross(seen, y), u) / np.maximum(shorter, 1e-3) / _NOISE
-        )
+        shorter = np.minimum(*(np.linalg.norm(np.cross(u, ray), axis=1) for ray in (seen, y)))
+        volume = np.einsum("mi,mi->m", np.cross(seen, y), u)
+        return np.asarray(volume / np.maximum(shorter, 1e-3) / _NOISE)
 
     return pose(least_squares(residuals, np.zeros(6), loss="cauchy", max_nfev=40).x)
 

@@ -77,9 +77,8 @@ class RigCheck:
     text: str  #: the result in sentences, the verdict first
     cause: str  #: in a word or two: "nothing wrong", "turned", "late or displaced", …
     cameras: tuple[int, ...] = ()  #: those that are accused, from 0
-    fixed: Rig | None = (
-        None  #: if this rig is wrong and the images show the right one: that, in their order
-    )
+    #: if this rig is wrong and the images show the right one: that, in their order
+    fixed: Rig | None = None
     measured: MeasuredRig | None = None
     order: tuple[int, ...] = ()  #: in which the images are to be given, if only that is wrong
 
@@ -355,9 +354,8 @@ def _compared(
         shift = float(np.linalg.norm(pose.t - rig.T_rig_cam[k].t))
         poses[k] = pose
         late |= shift > _LATE_SHARE * radius
-        harmless &= (
-            degrees < _WRONG_PX / rig.cameras[k].pixels_per_degree and shift < _WRONG_SHIFT * size
-        )
+        harmless &= degrees < _WRONG_PX / rig.cameras[k].pixels_per_degree
+        harmless &= shift < _WRONG_SHIFT * size
         # By how many times its deviation, or what is worth saying, each is off.
         turned = degrees / max(_LEAST_TURN_DEG, 3 * turn_sd[k])
         moved = shift / max(_LEAST_SHIFT * size, 3 * shift_sd[k])

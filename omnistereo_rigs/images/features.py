@@ -157,9 +157,8 @@ def match_features(
     same = np.einsum("kci,ki->kc", b.rays[candidates], b.rays[best]) > limit
     second = np.where(same, -1.0, values).max(axis=1)
     # Lowe's ratio test (2004), with the rival somewhere else.
-    distance, rival = (
-        np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (values[:, 0], np.maximum(second, 0))
-    )
+    both = values[:, 0], np.maximum(second, 0)
+    distance, rival = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in both)
     ratio = distance / np.maximum(rival, 1e-9)
     chosen = np.flatnonzero((ratio < _RATIO) & (values[:, 0] > 0))
     # One match for each feature of b.
@@ -258,9 +257,8 @@ def join_tracks(
         slot, count = np.unique(label * len(found) + camera, return_counts=True)
         twice = np.isin(label, slot[count > 1] // len(found))
         used = (np.bincount(label)[label] > 1) & ~twice
-        pixels = np.concatenate(
-            [c.project(one.rays)[0] for c, one in zip(cameras, found, strict=True)]
-        )
+        seen = [c.project(one.rays)[0] for c, one in zip(cameras, found, strict=True)]
+        pixels = np.concatenate(seen)
         point = np.unique(label[used], return_inverse=True)[1] + first_point
         first_point = point.max(initial=first_point - 1) + 1
         parts.append((camera[used], np.full(used.sum(), frame), point, pixels[used]))

@@ -194,9 +194,8 @@ class LateCameras:
         i, j, T = i[near], j[near], found.T_b_a
         # A point at d x in the first frame is at d R x + t = d' y in the second. The cross products
         # with t leave d (R x × t) = d' (y × t).
-        now, then = (
-            np.linalg.norm(np.cross(r, T.t), axis=1) for r in (a.rays[i] @ T.R.T, b.rays[j])
-        )
+        both = a.rays[i] @ T.R.T, b.rays[j]
+        now, then = (np.linalg.norm(np.cross(rays, T.t), axis=1) for rays in both)
         moved[i] = (now / np.maximum(then, 1e-9)).clip(0.2, 5.0)[:, None] * b.rays[j]
         return moved
 

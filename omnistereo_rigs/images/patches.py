@@ -1,6 +1,9 @@
 """Least-squares matching: observations to a tenth of a pixel, from patches of the images."""
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from typing import Any
 
 import cv2
@@ -18,6 +21,8 @@ _STEPS = 4
 _LEAST_CORRELATION = 0.88
 # … and it lies at most so many pixels from where the bundle puts the point.
 _MOST_SHIFT = 2.0
+# So many are matched at a time by a thread: fewer wait for each other.
+_TOGETHER = 512
 # A plane that is seen flatter than by this sine is not tried.
 _SLANTED = 0.15
 
@@ -33,7 +38,10 @@ def refine_tracks(bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint
         images: images[frame][camera]
     """
     matcher = _PatchMatcher(bundle, images)
-    shift, good = matcher.adjust(matcher.best_planes())
+    parts = [slice(k, k + _TOGETHER) for k in range(0, max(len(matcher.others), 1), _TOGETHER)]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = [*threads.map(matcher.match, parts)]
+    shift, good = (np.concatenate(one) for one in zip(*found, strict=True))
     tracks = bundle.tracks
     pixels = bundle.residuals() + tracks.pixels  # where the bundle puts them
     pixels[matcher.others] += shift
@@ -50,9 +58,8 @@ class _PatchMatcher:
         self.cameras = bundle.adjusted_rig().cameras
         pictures = ((f, c, image) for f, row in enumerate(images) for c, image in enumerate(row))
         self.layers = {(f, c): _with_slopes(image) for f, c, image in pictures}
-        off_axis = np.einsum(
-            "mi,mi->m", bundle.R[tracks.camera][:, :, 2], bundle.points[tracks.point, :3]
-        )
+        axes = bundle.R[tracks.camera][:, :, 2]
+        off_axis = np.einsum("mi,mi->m", axes, bundle.points[tracks.point, :3])
         order = np.lexsort((-off_axis, tracks.point))
         # Of each point, the observation nearest to the axis of its camera comes first: that is the
         # reference.
@@ -62,12 +69,18 @@ class _PatchMatcher:
         point = tracks.point[self.others]
         self.reference_camera = tracks.camera[self.reference][point]
         self.u, self.inverse = bundle.points[point, :3], bundle.points[point, 3]
-        self.offsets = (
-            np.stack(np.meshgrid(*[np.arange(-_HALF, _HALF + 1)] * 2), -1).reshape(-1, 2) / _HALF
-        )
+        steps = np.arange(-_HALF, _HALF + 1)
+        self.offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) / _HALF
         # A Gaussian window: the middle of a patch counts most.
         window = np.exp(-(self.offsets**2).sum(axis=1) / 0.72)
         self.window = window / window.sum()
+
+    def match(self, part: slice) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return what `adjust` does, of some of the patches."""
+        some = copy(self)
+        for name in ("frame", "camera", "reference_camera", "u", "inverse"):
+            setattr(some, name, getattr(self, name)[part])
+        return some.adjust(some.best_planes())
 
     def best_planes(self) -> Floats:
         """Return the normal (P, 3) that matches best: facing, level, or one of two walls."""
@@ -97,25 +110,22 @@ class _PatchMatcher:
             where = start + shift[:, None] + self.offsets @ affine
             seen, du, dv = (self._sample(self.camera, where, layer) for layer in range(3))
             x, y = self.offsets.T
-            J = np.stack(
-                [du, dv, du * x, dv * x, du * y, dv * y, seen, np.ones_like(seen)], axis=-1
-            ).astype(float)
+            slopes = [du, dv, du * x, dv * x, du * y, dv * y, seen, np.ones_like(seen)]
+            J = np.stack(slopes, axis=-1).astype(float)
             weighted = J * self.window[:, None]
             # Each step is damped, that of the affine map most: a patch without texture stays where
             # it is.
             normal = np.swapaxes(weighted, 1, 2) @ J + np.diag([1e-3, 1e-3, 3, 3, 3, 3, 1e-6, 1e-6])
-            solved = np.linalg.solve(normal, np.einsum("pmi,pm->pi", weighted, target)[..., None])[
-                ..., 0
-            ]
+            right = np.einsum("pmi,pm->pi", weighted, target)
+            solved = np.linalg.solve(normal, right[..., None])[..., 0]
             gain = solved[:, 6]
             # The slopes were taken without the gain, so divide by it.
             step = np.clip(solved[:, :6] / np.maximum(gain, 0.2)[:, None], -1, 1)
             shift, affine = shift + step[:, :2], affine + step[:, 2:].reshape(-1, 2, 2)
         seen = self._sample(self.camera, start + shift[:, None] + self.offsets @ affine)
         good = (self._correlation(target, seen) > _LEAST_CORRELATION) & (gain > 0.3) & (gain < 3)
-        good &= (np.linalg.norm(shift, axis=1) < _MOST_SHIFT) & (
-            np.abs(affine).max(axis=(1, 2)) < _HALF / 2
-        )
+        good &= np.linalg.norm(shift, axis=1) < _MOST_SHIFT
+        good &= np.abs(affine).max(axis=(1, 2)) < _HALF / 2
         return shift, good
 
     def _pixels(self, camera: NDArray[np.int64], normals: Floats) -> Floats:
@@ -133,26 +143,19 @@ class _PatchMatcher:
         uv = np.empty((*rays.shape[:2], 2))
         for i, lens in enumerate(self.cameras):
             mine = camera == i
-            uv[mine] = lens.project(
-                (rays[mine] - inverse[mine][..., None] * bundle.t[i]) @ bundle.R[i]
-            )[0]
+            points = rays[mine] - inverse[mine][..., None] * bundle.t[i]
+            uv[mine] = lens.project(points @ bundle.R[i])[0]
         return uv
 
     def _sample(self, camera: NDArray[np.int64], uv: Floats, layer: int = 0) -> NDArray[np.float32]:
         """Return gray values (P, 169), or slopes, where cameras (P,) have pixels uv."""
         values = np.zeros(uv.shape[:2], np.float32)
-        no_second: Any = None  # see `FeatureFinder.find`
         for (frame, i), layers in self.layers.items():
             mine = (self.frame == frame) & (camera == i)
             if mine.any():
                 at = uv[mine].astype(np.float32)
-                values[mine] = cv2.remap(
-                    layers[layer],
-                    at,
-                    no_second,
-                    cv2.INTER_LANCZOS4,
-                    borderMode=cv2.BORDER_REPLICATE,
-                )
+                how: Any = None, cv2.INTER_LANCZOS4, None, cv2.BORDER_REPLICATE
+                values[mine] = cv2.remap(layers[layer], at, *how)
         return values
 
     def _correlation(self, a: NDArray[np.float32], b: NDArray[np.float32]) -> Floats:

@@ -168,10 +168,8 @@ class TrackBundle:
             parts += [np.broadcast_to(np.eye(2), (len(point), 2, 2)), self._from_center[:, :, None]]
         # A point moves along the two tangents of u, and x by -t as ρ grows.
         self._basis = tangents(self.points[:, :3])
-        d_point = np.concatenate(
-            [d_rig @ self._basis[point], -d_rig @ self.t[camera][:, :, None]], axis=2
-        )
-        return residuals, np.concatenate(parts, axis=2), d_point
+        d_point = [d_rig @ self._basis[point], -d_rig @ self.t[camera][:, :, None]]
+        return residuals, np.concatenate(parts, axis=2), np.concatenate(d_point, axis=2)
 
     def _reduced(self, scale: float, damping: float = 0.0) -> tuple[Floats, ...]:
         """Return the normal equations without points (Schur complement), and the way back to them.
@@ -204,22 +202,19 @@ class TrackBundle:
         of_cameras[tracks.point, tracks.camera] = np.swapaxes(d_camera, 1, 2) @ weighted
         coupling = of_cameras.reshape(tracks.num_points, n * self.width, 3)
         gradients = np.zeros((tracks.num_points, n, self.width))
-        gradients[tracks.point, tracks.camera] = weight[:, None] * np.einsum(
-            "mki,mk->mi", d_camera, residuals
-        )
+        of_residuals = np.einsum("mki,mk->mi", d_camera, residuals)
+        gradients[tracks.point, tracks.camera] = weight[:, None] * of_residuals
         # S = Σ U - W V⁻¹ Wᵀ. U has one block for each camera, since a residual is seen by one
         # camera only.
         back = coupling @ inverse
         S = -np.tensordot(back, coupling, ((0, 2), (0, 2)))
         for i in range(n):
             mine, block = tracks.camera == i, slice(i * self.width, (i + 1) * self.width)
-            S[block, block] += np.einsum(
-                "m,mki,mkj->ij", weight[mine], d_camera[mine], d_camera[mine]
-            )
-        gradients = gradients.reshape(len(gradients), -1) - np.einsum(
-            "nij,nj->ni", back, point_gradients
-        )
-        return S, gradients, inverse, coupling, point_gradients
+            J = d_camera[mine]
+            S[block, block] += np.einsum("m,mki,mkj->ij", weight[mine], J, J)
+        by_points = np.einsum("nij,nj->ni", back, point_gradients)
+        left = gradients.reshape(by_points.shape) - by_points
+        return S, left, inverse, coupling, point_gradients
 
     def _prior(self) -> tuple[Floats, Floats]:
         """Return weights and gradient of the priors, (cameras · width,) each."""
