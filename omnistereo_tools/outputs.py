@@ -143,3 +143,8 @@ def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:
     metadata = {unsaid[kind]: None} if kind in unsaid else None
     with atomic_write(path) as temporary:
         figure.savefig(temporary, format=kind, dpi=dpi, metadata=metadata)
+
+
+def photo_and_colors(path: Path) -> tuple[Path, Path]:
+    """Return the paths of the pictures beside the depth of the whole sphere."""
+    return path.with_name(f"{path.stem}_photo.jpg"), path.with_name(f"{path.stem}_colors.jpg")

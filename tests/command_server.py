@@ -29,7 +29,7 @@ from omnistereo_learn import train
 from omnistereo_learn.recipes import MCCNNRecipe
 from omnistereo_lib.stereo import correlation
 from omnistereo_tools import cli
-from omnistereo_tools.output import frame, pictures, viewer
+from omnistereo_tools.output import frame, pictures, webp
 from omnistereo_tools.parser import is_tiny
 from workshop import render
 
@@ -86,7 +86,7 @@ def make_small(setattr):
     # Not 8 spheres: a U-net whose last level has one reads noise in bfloat16 (torch 2.13.0).
     setattr(correlation, "COARSE", (32, 16))
     setattr(frame, "WIDEST", 192)
-    setattr(viewer, "_IMAGE_WIDTH", 100)
+    setattr(webp, "_IMAGE_WIDTH", 100)
     setattr(pictures, "_SHARP", 192)
     setattr(matplotlib.layout_engine.ConstrainedLayoutEngine, "execute", lambda *_: None)
 

@@ -34,7 +34,7 @@ from omnistereo_tools.commands.options import (
     warn_of,
 )
 from omnistereo_tools.commands.record_command import RecordOptions
-from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.outputs import check_outputs, hold, photo_and_colors
 from omnistereo_tools.parser import as_typed, is_own, option
 
 if TYPE_CHECKING:
@@ -98,9 +98,12 @@ def run(options: DepthOptions) -> int:
     if options.phi is not None and max(map(abs, options.phi)) <= _RADIANS:
         low, high = options.phi
         warn_of([f"--phi {low:g} {high:g} are degrees, a strip of {high - low:.3g}°: no radians"])
-    # Read what there is, before what is slow to import.
+    # Read what there is before what is slow to import, and encode the images beside that.
     frame = read_frame(options, options.frame)
     from omnistereo_lib.files import make_folder
+    from omnistereo_tools.output.webp import fisheye_images
+
+    images = fisheye_images(frame.rig.cameras, frame.images)
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import frame_doubts
@@ -126,12 +129,12 @@ def run(options: DepthOptions) -> int:
     # Compute and write.
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth)
-    result = FrameResult(depth, limits, method, gt_index, options.up, doubt, beside)
+    result = FrameResult(depth, limits, method, gt_index, options.up, doubt, beside, images)
     if replaced := result.replaces(out):
         say(replaced)
     written = result.write(out, progress_bar())
     written += result.export(options.mesh, options.equirectangular, options.crops, options.las)
-    print(*result.sentences(), coverage.left_out(grid), sep="\n")
+    print(*result.sentences, coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
     shown = {"images": tuple(frame.image_paths)} if options.frame else {}
     doctor = as_typed("doctor", DoctorOptions, options, rig=options.rig or SAMPLE, **shown)
@@ -163,8 +166,6 @@ def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
 def _check(options: DepthOptions, out: Path) -> None:
     """Refuse --images of a recording, and results that would replace what is read."""
     from omnistereo_tools.input.sources import of_recordings
-    from omnistereo_tools.output.frame import beside
-    from omnistereo_tools.output.points import import_laspy
 
     for path in of_recordings(options.images or ()):
         right = as_typed("record", RecordOptions, options)
@@ -174,11 +175,13 @@ def _check(options: DepthOptions, out: Path) -> None:
     files = [out / "overview.png", out / "index.html", options.mesh, options.las]
     files.append(options.equirectangular)
     if options.equirectangular is not None:
-        files += beside(options.equirectangular)
+        files += photo_and_colors(options.equirectangular)
     folders = [out / "data"]
     if (crops := options.crops) is not None:
         files += [crops / "transforms.json", crops / "points.ply"]
         folders += [crops / "images", crops / "depth", crops / "masks"]
     check_outputs(options, files, folders)
     if options.las is not None:
+        from omnistereo_tools.output.points import import_laspy
+
         import_laspy()

@@ -182,9 +182,8 @@ class Coverage:
     def left_out(self, grid: SphereGrid) -> str:
         """Return what a grid shows, and what it leaves out of what the cameras see."""
         seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
-        outside = (
-            100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
-        )
+        inside = seen[self._between(grid.phi_deg)].sum() / seen.sum() if seen.any() else 1.0
+        outside = 100 * (1 - inside)
         width = self.propose(phi_deg=grid.phi_deg, num_spheres=2, min_depth=grid.min_depth).width
         parts = []
         if outside >= 1:

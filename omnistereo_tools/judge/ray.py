@@ -295,15 +295,12 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     row = int(check_number(row, "row", 0, grid.height - 1, whole=True))
     ray, index = grid.rays()[row, column], float(depth.index[row, column])
     sigma, bound = depth.sigma[row, column], depth.bound[row, column]
-    visible = depth.sweep.keep(
-        "visible", lambda: [camera.visible_pixels() for camera in rig.cameras]
-    )
+    visible = depth.sweep.keep("visible", lambda: [one.visible_pixels() for one in rig.cameras])
+    views = zip(rig.cameras, visible, rig.T_rig_cam, depth.images, strict=True)
     patches = np.stack(
         [
             patches_of(camera, mask, pose.inverse(), np.asarray(image), ray, grid.inverse_depths())
-            for camera, mask, pose, image in zip(
-                rig.cameras, visible, rig.T_rig_cam, depth.images, strict=True
-            )
+            for camera, mask, pose, image in views
         ]
     )  # (cameras, N, side, side)
     pairs = list(combinations(range(len(rig)), 2))

@@ -32,10 +32,8 @@ def trust(depth: Depth) -> NDArray[np.float32]:
     """
     evidence = depth.valid & (depth.index <= depth.grid.num_spheres - 3) & _is_lit(depth)
     right = np.maximum(2 * depth.grid.step, 0.1 * depth.inverse_depth)
-    probability = likely(right, depth.sigma, depth.bound)
-    probability = np.where(
-        np.isnan(depth.sigma), np.nan_to_num(depth.confidence).clip(0, 1), probability
-    )
+    sure, by_bars = np.nan_to_num(depth.confidence), likely(right, depth.sigma, depth.bound)
+    probability = np.where(np.isnan(depth.sigma), sure.clip(0, 1), by_bars)
     found = np.where(evidence, probability, 0)
     doubtful = _floating(depth, found) | may_be_nearer(depth)
     return np.where(doubtful, DOUBTFUL * found, found).astype(np.float32)
@@ -75,17 +73,11 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
     Wires, birds and lamps are such things, but are trusted more; of what is left, most is off by
     more than two spheres and a tenth of the depth.
     """
-    rays, index, depths = (
-        np.arange(found.size).reshape(found.shape),
-        depth.index.ravel(),
-        depth.depth.ravel(),
-    )
+    rays = np.arange(found.size).reshape(found.shape)
+    index, depths = depth.index.ravel(), depth.depth.ravel()
     # neighbours, around the seam, too
     across, down = (rays, np.roll(rays, -1, 1)), (rays[:-1], rays[1:])
-    a, b = (
-        np.concatenate([first.ravel(), second.ravel()])
-        for first, second in zip(across, down, strict=True)
-    )
+    a, b = (np.concatenate([x.ravel(), y.ravel()]) for x, y in zip(across, down, strict=True))
     connected = is_connected(np.stack([depths[a], depths[b]]), np.stack([index[a], index[b]]))
     links = connected[: found.size].reshape(found.shape), connected[found.size :]
     thing = _things(*links).ravel()
@@ -95,9 +87,8 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
     before, behind = np.where(ahead, a[edge], b[edge]), np.where(ahead, b[edge], a[edge])
     in_front, hidden = (np.bincount(thing[rays], minlength=count) for rays in (before, behind))
     size = np.bincount(thing)
-    small = (size <= _FLOATING_SIZE * found.size) & (
-        np.bincount(thing, found.ravel()) < _FLOATING_TRUST * size
-    )
+    small = size <= _FLOATING_SIZE * found.size
+    small &= np.bincount(thing, found.ravel()) < _FLOATING_TRUST * size
     return (small & (in_front > _ALL_AROUND * (in_front + hidden)))[thing].reshape(found.shape)
 
 

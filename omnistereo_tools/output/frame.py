@@ -1,7 +1,8 @@
 """What `omnistereo depth` writes for one frame: overview, viewer, data, and exports."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -38,12 +39,7 @@ from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import (
-    as_picture,
-    finer,
-    in_millimetres,
-    write_panorama,
-)
+from omnistereo_tools.output.pictures import as_picture, finer, in_millimetres, write_panorama
 from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
 from omnistereo_tools.output.summary import (
     depth_facts,
@@ -53,6 +49,8 @@ from omnistereo_tools.output.summary import (
     fits,
 )
 from omnistereo_tools.output.viewer import WIDEST, viewer_page
+from omnistereo_tools.output.webp import Fisheye
+from omnistereo_tools.outputs import photo_and_colors
 from omnistereo_tools.parser import is_own
 
 # of the panorama that is looked at: columns for a pixel of the images
@@ -108,6 +106,7 @@ class FrameResult:
     up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
     doubt: str | None = None  #: why the rig and the images cannot fit
     beside: dict[str, Any] | None = None  #: another run, as `data_of` its page has it
+    images: Sequence[Future[Fisheye]] | None = None  #: of `fisheye_images`, if begun already
 
     @property
     def title(self) -> str:
@@ -120,10 +119,9 @@ class FrameResult:
     def facts(self) -> dict[str, Any]:
         """What decides the numbers, as `provenance.json` holds it."""
         grid, device = self.depth.grid, self.depth.sweep.device
-        if is_own(self.method):
-            name, network = f"{self.method} {checksum(read_bytes(self.method))[:16]}", False
-        else:
-            name, network = self.method, Method.parse(self.method).has_weights
+        own = is_own(self.method)
+        name = f"{self.method} {checksum(read_bytes(self.method))[:16]}" if own else self.method
+        network = not own and Method.parse(self.method).has_weights
         sizes = {"width": grid.width, "height": grid.height, "phi_deg": list(grid.phi_deg)}
         sizes |= {"spheres": grid.num_spheres, "min_depth": grid.min_depth}
         made = provenance(
@@ -141,8 +139,9 @@ class FrameResult:
         other = differences(stored, self.facts) + notes(stored, self.facts) if stored else []
         return f"the depth that is in {out}/ is replaced: {'; '.join(other)}" if other else None
 
+    @lazy_property
     def sentences(self) -> list[str]:
-        """Return the result in plain sentences."""
+        """The result in plain sentences."""
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
         return depth_sentences(self.depth, self.limits, self.doubtful, self.doubt) + errors
 
@@ -188,16 +187,16 @@ class FrameResult:
         folder = make_folder(out)
         _ = self.depth.samples  # which both of the next two need
         with ThreadPoolExecutor(1) as pool:
-            # Trust beside the panorama, then the page beside the rest.
-            judged = pool.submit(lambda: self.trust)
-            _ = self.panorama, judged.result(), self._cloud
-            page = pool.submit(self._write_page, folder / "index.html")
+            # Beside the panorama what takes no colours, then the overview beside the rest.
+            maps = pool.submit(self._write_maps, make_folder(folder / "data"))
             step("data")
+            _ = self.panorama, maps.result(), self._cloud
+            overview = pool.submit(self._write_overview, folder / "overview.png")
             self._write_data(folder / "data")
-            step("overview.png")
-            self._write_overview(folder / "overview.png")
             step("index.html")
-            page.result()
+            self._write_page(folder / "index.html")
+            step("overview.png")
+            overview.result()
         step("")
         return ["overview.png", "index.html", "data/ (README.txt says what each file holds)"]
 
@@ -239,37 +238,35 @@ class FrameResult:
         inverse = 1 / whole
         rays = SphereGrid(whole.shape[1], whole.shape[0], (-90.0, 90.0)).rays()
         photo, inside = self.depth.grid.look_up(self._colors, rays)
-        names = beside(path)
+        names = photo_and_colors(path)
         write_image(names[0], np.where(inside.T, photo.T, 0).T)
         write_image(names[1], ColorScale.of(inverse).colorize(inverse))
         return names
 
     def _write_overview(self, path: Path) -> None:
         facts = depth_facts(self.depth, self.limits, self.doubtful, self.gt_index)
-        what = self.depth, self.panorama, self.trust, self.title, self.sentences()[0], facts
+        what = self.depth, self.panorama, self.trust, self.title, self.sentences[0], facts
         write_image(path, draw_overview(*what))
 
     def _write_page(self, path: Path) -> None:
-        more = {"trust": self.trust, "gt_index": self.gt_index, "beside": self.beside}
+        more: dict[str, Any] = {"trust": self.trust, "gt_index": self.gt_index}
+        more |= {"beside": self.beside, "images": self.images}
         page = viewer_page(self.depth, self.panorama, self.limits, self.title, **more)
         write_text(path, page)
 
-    def _write_data(self, data: Path) -> None:
-        make_folder(data)
-        depth, grid, inverse_depth = self.depth, self.depth.grid, self.depth.inverse_depth
-        of_rays: dict[str, NDArray[Any]] = {"inverse_depth": inverse_depth}
-        of_rays |= {
-            "confidence": depth.confidence,
-            "trust": self.trust,
-            "sigma": depth.sigma,
-            "bound": depth.bound,
-        }
-        for name, values in of_rays.items():
-            write_inverse_depth(data / f"{name}.tiff", values)
+    def _write_maps(self, data: Path) -> None:
+        depth, inverse_depth = self.depth, self.depth.inverse_depth
+        write_inverse_depth(data / "inverse_depth.tiff", inverse_depth)
+        write_inverse_depth(data / "trust.tiff", self.trust)
+        for name in ("confidence", "sigma", "bound"):
+            write_inverse_depth(data / f"{name}.tiff", getattr(depth, name))
         colors = ColorScale.of(inverse_depth).colorize(inverse_depth)
         write_image(data / "inverse_depth.png", colors)
-        write_panorama(data / "panorama.jpg", self._colors, grid)
         write_image(data / "depth_mm.png", in_millimetres(depth.depth))
+
+    def _write_data(self, data: Path) -> None:
+        depth, grid = self.depth, self.depth.grid
+        write_panorama(data / "panorama.jpg", self._colors, grid)
         self._cloud.write(data / "points.ply", self.up)
         save_rig(depth.sweep.rig, data / "rig.yaml")
         sizes = {"width": grid.width, "height": grid.height, "phi": grid.phi_deg}
@@ -284,11 +281,6 @@ class FrameResult:
             write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
         write_text(data / "README.txt", text)
-
-
-def beside(path: Path) -> tuple[Path, Path]:
-    """Return the paths of the pictures beside the depth of the whole sphere: photograph, depth."""
-    return path.with_name(f"{path.stem}_photo.jpg"), path.with_name(f"{path.stem}_colors.jpg")
 
 
 def equirectangular_depth(depth: Depth) -> NDArray[np.float32]:

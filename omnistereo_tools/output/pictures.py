@@ -76,13 +76,9 @@ def draw_frame(
     Returns:
         uint8 array, RGB, as large as `FILM`; `panes` says where the panoramas are
     """
-    panorama, (index, _) = (
-        sharp_panorama(depth, _SHARP, gains),
-        finer_index(depth, finer(depth, _SHARP)),
-    )
-    fine_trust = cv2.resize(
-        trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR
-    )
+    panorama = sharp_panorama(depth, _SHARP, gains)
+    index, _ = finer_index(depth, finer(depth, _SHARP))
+    fine_trust = cv2.resize(trust.astype(np.float32), index.shape[::-1])
     doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     eye = around(AWAY * depth.grid.min_depth, turn, _TILT)

@@ -157,9 +157,8 @@ def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[floa
     The depth is in metres, (H, W), NaN where it is unknown.
     """
     near = float(np.nanquantile(depth, _NEAR, method="lower"))
-    share, of_near = (
-        100 * float(doubtful[rays].mean()) for rays in (~np.isnan(depth), depth <= near)
-    )
+    both = ~np.isnan(depth), depth <= near
+    share, of_near = (100 * float(doubtful[rays].mean()) for rays in both)
     return share, of_near, near
 
 
@@ -180,12 +179,8 @@ def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
     """Return the errors against the ground truth: relative ones, then those of the paper."""
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)
-    both = (
-        depth.valid
-        & np.isfinite(truth)
-        & np.isfinite(depth.depth)
-        & (truth >= depth.grid.min_depth)
-    )
+    both = depth.valid & np.isfinite(truth) & np.isfinite(depth.depth)
+    both &= truth >= depth.grid.min_depth
     off = np.abs(depth.depth[both] / truth[both] - 1)
     half, most = np.quantile(off, [0.5, 0.9]) if both.any() else (np.nan, np.nan)
     return [

@@ -6,33 +6,31 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
+from concurrent.futures import Future
 from datetime import datetime
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.judge import ray
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.colors import ColorScale
 from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.webp import Fisheye, fisheye_images, webp
 
 _PAGE = Path(__file__).with_name("page")
 _SCRIPTS = ("data.js", "numbers.js", "ray.js", "gl.js", "draw.js", "page.js")
 _RAY_BYTES = 2_400_000  # of all rays; with the picture the page stays below 5 MB
 WIDEST = 3600  # px of the picture
 _STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
-_IMAGE_WIDTH, _IMAGE_BYTES = 800, 40_000  # of a fisheye image, at most
 
 
 def viewer_page(
@@ -82,6 +80,7 @@ def viewer_data(
     trust: NDArray[Any] | None = None,
     gt_index: NDArray[Any] | None = None,
     beside: dict[str, Any] | None = None,
+    images: Sequence[Future[Fisheye]] | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a
     ray, too.
@@ -96,7 +95,10 @@ def viewer_data(
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and
             the error, too.
         beside: What another page holds, see `data_of`: shown to the right of a divider.
+        images: Of `fisheye_images`, if they are being encoded already.
     """
+    rig = depth.sweep.rig
+    images = fisheye_images(rig.cameras, depth.images) if images is None else images
     grid = depth.grid
     step = int(np.ceil(np.sqrt(depth.index.size * (8 if gt_index is None else 10) / _RAY_BYTES)))
     inverse_depth = depth.inverse_depth[::step, ::step]
@@ -113,7 +115,6 @@ def viewer_data(
     if gt_index is not None:
         optional["truth"] = packed(_in_steps(truth, per_step))
     scale = ColorScale.of(depth.inverse_depth)
-    (cameras, images), poses = fisheye_images(depth), depth.sweep.rig.T_rig_cam
     first, *_, last = grid.inverse_depths().tolist()
     per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
     return optional | {
@@ -124,9 +125,7 @@ def viewer_data(
         "phi": np.radians(grid.phi_deg).tolist(),
         "spheres": grid.num_spheres,
         "inverse": [first, last],
-        "pixelsPerDegree": max(
-            (camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0
-        ),
+        "pixelsPerDegree": max((camera.pixels_per_degree for camera in rig.cameras), default=1.0),
         "perStep": per_step,
         "percent": 100 / grid.num_spheres * per_metre,  # errors as in the paper's tables
         "steps": packed(_in_steps(inverse_depth, per_step)),
@@ -143,7 +142,8 @@ def viewer_data(
         "minConfidence": limits.min_confidence,
         "picture": webp(_narrow(panorama), 85),
         "cameras": [
-            *map_threads(lambda k: _camera(cameras[k], poses[k], images[k]), range(len(images)))
+            _camera(*image.result(), pose)
+            for image, pose in zip(images, rig.T_rig_cam, strict=False)
         ],
         "ray": ray.for_the_page(),
     }
@@ -166,27 +166,9 @@ def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:
     return (100 * np.nan_to_num(values)).round().astype(np.uint8)
 
 
-def fisheye_images(depth: Depth) -> tuple[list[OcamCamera], list[NDArray[np.uint8]]]:
-    """Return the cameras and their images, RGB, as the page has them: reduced if wide."""
-    cameras, images = [], []
-    for camera, image in zip(depth.sweep.rig.cameras, depth.images, strict=False):
-        factor = -(-camera.image_size[0] // _IMAGE_WIDTH)
-        width, height = (side // factor for side in camera.image_size)
-        pixels = (
-            np.asarray(image).clip(0, 255).astype(np.uint8)[: height * factor, : width * factor]
-        )
-        colors = pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
-        images.append(
-            np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-        )
-        cameras.append(camera.reduced(factor))
-    return cameras, images
-
-
-def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return what projects points into a camera, and its image, transparent where it is blind."""
+def _camera(camera: OcamCamera, image: str, T_rig_cam: Pose) -> dict[str, Any]:
+    """Return what projects points into a camera, and its image."""
     T_cam_rig = T_rig_cam.inverse()
-    visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
     return {
         "R": T_cam_rig.R.tolist(),
         "t": T_cam_rig.t.tolist(),
@@ -195,7 +177,7 @@ def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> di
         "affine": list(camera.affine),
         "center": list(camera.center),
         "maxAngle": np.radians(camera.max_fov_deg / 2) - np.pi / 2,
-        "image": _webp_of_at_most(np.dstack([image, visible]), _IMAGE_BYTES),
+        "image": image,
     }
 
 
@@ -220,24 +202,3 @@ def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         picture, (WIDEST, round(height * WIDEST / width)), interpolation=cv2.INTER_AREA
     )
     return np.asarray(small, np.uint8)
-
-
-def webp(pixels: NDArray[np.uint8], quality: int) -> str:
-    """Return an image in RGB or RGBA as a data URI."""
-    # OpenCV cannot ask for method 2, which takes half the time of its 4 for 3 % more bytes.
-    Image.fromarray(pixels).save(encoded := BytesIO(), "WEBP", quality=quality, method=2)
-    return "data:image/webp;base64," + _base64(encoded.getvalue())
-
-
-def _webp_of_at_most(pixels: NDArray[np.uint8], most: int) -> str:
-    """Return an image as `webp`, in the best quality that takes at most so many bytes."""
-    # Files grow with their quality, so half of those left are ruled out by each try.
-    found, low, high = "", 1, 9
-    while low <= high:
-        middle = (low + high + 1) // 2
-        tried = webp(pixels, 10 * middle)
-        if len(tried) * 3 / 4 <= most:
-            found, low = tried, middle + 1
-        else:
-            high = middle - 1
-    return found or webp(pixels, 10)

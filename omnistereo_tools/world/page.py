@@ -17,7 +17,8 @@ from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.output.colors import colorize_depth
 from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
 from omnistereo_tools.output.points import AXES
-from omnistereo_tools.output.viewer import packed, page_of, webp
+from omnistereo_tools.output.viewer import packed, page_of
+from omnistereo_tools.output.webp import webp
 from omnistereo_tools.world.surface import Surface, choose_views
 
 _MOST_TRIANGLES = 450_000  # of the page, which stays below 5 MB

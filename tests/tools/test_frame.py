@@ -169,7 +169,7 @@ def test_a_depth_that_is_the_same_all_around_is_not_good(depth):
 def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
     result = FrameResult(depth, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)
-    _, first, *_, second = result.sentences()
+    _, first, *_, second = result.sentences
     assert "unknown away" not in first and "no ray is within" in first
     assert f"uses 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
     assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()
