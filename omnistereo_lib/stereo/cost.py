@@ -11,6 +11,7 @@ from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.progress import Progress, counted, silent
+from omnistereo_lib.stereo.device import check_memory
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
 
@@ -78,11 +79,13 @@ class BlockCost(ABC):
         self, sweep: SphereSweep, frame: Frame, pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
+        device = sweep.device
+        sweep.keep(check_memory, lambda: check_memory(len(sweep.rig), sweep.grid, device))
         # A block of spheres per thread, if the cost runs in one, each with a buffer to warp into.
         # One (h, w) for each camera.
         normalized = sweep.normalize_images(frame)
-        (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
-        volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
+        (H, W), on_cpu, blocks = sweep.grid.shape, device.type == "cpu", sweep.blocks()
+        volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=device)
         threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and self.one_thread else 1
         buffers = [volume.new_empty(len(sweep.rig), H, W, len(blocks[0])) for _ in range(threads)]
 

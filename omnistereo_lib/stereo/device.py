@@ -56,19 +56,19 @@ def number_from_environment(name: str, default: int) -> int:
     return int(value)
 
 
-def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
+def check_memory(cameras: int, grid: SphereGrid, device: torch.device, volume: bool = True) -> None:
     """Refuse a panorama that needs more than three quarters of the memory: tables take the rest.
+
+    Args:
+        volume: Whether all costs are held at once. Those of `VolumeNet` never are on a CPU.
 
     Raises:
         OmnistereoError: With the size needed and the size available.
     """
-    # Bytes per ray, measured: a block of spheres in sweep and cost, the volume, SGM's copies.
     if device.type == "cpu":
-        # see `BlockCost.volume`
-        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1
-        per_ray = 400 + 225 * cameras + 9 * grid.num_spheres + more_blocks * (250 + 64 * cameras)
+        per_ray = bytes_of_ray(cameras, grid, volume)
     else:
-        # with the costs of a block for every pair of a ring
+        # Measured, with the costs of a block for every pair of a ring.
         per_ray = 1800 + 128 * cameras + 18 * grid.num_spheres
     need, free = grid.width * grid.height * per_ray, 0.75 * available_memory(device)
     if need > free:
@@ -77,6 +77,19 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
             f" {need / 2**30:.1f} GiB of {device} memory; {free / 2**30:.1f} GiB are available. Use"
             " fewer spheres or a smaller panorama."
         )
+
+
+def bytes_of_ray(cameras: int, grid: SphereGrid, volume: bool) -> int:
+    """Return the bytes for each ray at the peak on a CPU: of what is found, blended and written of
+    it, the images there in colour, or while a `BlockCost` and SGM compute its volume.
+    """
+    if not volume:
+        return 450 + 12 * cameras
+    # Two volumes in float32. Each thread holds every camera's image on a block of spheres, in
+    # float32, with coordinates and costs. One byte more a cell and 80 a camera were measured: what
+    # the allocator leaves unused.
+    threads = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK))
+    return 9 * grid.num_spheres + threads * (4 * BLOCK * cameras + 175) + 80 * cameras
 
 
 def available_memory(device: torch.device) -> int:

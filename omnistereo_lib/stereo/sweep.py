@@ -60,7 +60,7 @@ class SphereSweep:
 
     Raises:
         OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if
-            memory cannot hold a cost volume of the grid, or if there is no such device.
+            memory cannot hold what any method takes of the grid, or if there is no such device.
 
     Attributes:
         rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ*.
@@ -88,7 +88,7 @@ class SphereSweep:
         self.rig = rig.recentered(center)
         self.grid = grid
         self.device = select_device(device)
-        check_memory(len(rig), grid, self.device)
+        check_memory(len(rig), grid, self.device, volume=self.device.type != "cpu")
         self.keep_tables = keep_tables
         most = min(_LUT_BUDGET, available_memory(self.device) // 4)
         self._most_bytes = most if keep_tables else 0

@@ -159,7 +159,7 @@ def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.pace import say_frame
 
-    say_frame(method, grid, device)
+    say_frame(method, frame, grid, device)
     return estimate_depth(frame, grid, method, device=device, progress=progress_bar())
 
 

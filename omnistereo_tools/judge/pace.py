@@ -2,13 +2,17 @@
 
 import time
 from collections.abc import Sequence
+from math import prod
 
 import torch
 from numpy.typing import ArrayLike
 
+from omnistereo_lib.frame import Frame
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.correlation import pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.device import select_device
+from omnistereo_lib.stereo.device import bytes_of_ray, select_device
 from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -19,16 +23,18 @@ from omnistereo_tools.progress import say
 # two cores.
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
-# Peak memory of `depth`: GiB at least, for the U-net, whose volumes do not grow; and GiB, bytes for
-# each ray, and bytes for each cell of the cost volume, of which VolumeNet holds some rows. Of
-# VolumeNet fitted to four cameras at 640 and 2400 columns; the book says how well they are kept.
-_MEMORY = {"volumenet": (0.87, 0.64, 500.0, 0.0), "zncc+sgm": (0.0, 0.84, 0.0, 8.0)}
+# Peak memory of `depth`, measured on two cores with glibc: GiB of libraries, with the network; and
+# bytes for each pixel of the images, in colour, in gray, with masks, normalised.
+_MEMORY = {"volumenet": (0.46, 16), "zncc+sgm": (0.43, 20)}
+# Bytes for each pixel at the resolution that VolumeNet sees, 32 features of a quarter of them,
+# twice; and for each cell of its finer volume: nine correlations, and the levels of the U-net.
+_SEEN, _CELL = 64, {"bfloat16": 60, "float32": 170}
 _FEW_FRAMES, _SOON_S = 10, 60.0  # are soon done: no other method is timed
 _LIVE_S = 1 / 1.5  # of a frame that is watched
 _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
-def say_frame(method: str, grid: SphereGrid, device: str) -> None:
+def say_frame(method: str, frame: Frame, grid: SphereGrid, device: str) -> None:
     """Say how long a frame will take on the processor, and how much memory.
 
     On another device, and by a method that was not measured, say only by which method; the memory
@@ -39,16 +45,32 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
     if seconds is None or kind != "cpu":
         say(f"method: {method} on {kind}")
         return
-    rays = grid.width * grid.height
-    cells = rays * grid.num_spheres
+    cells = grid.width * grid.height * grid.num_spheres
     total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
     precision = f" in {choose_precision('auto', kind)}" if Method.parse(method).has_weights else ""
-    memory = ""
-    if fitted := _MEMORY.get(Method.parse(method).base):
-        least, constant, of_ray, of_cell = fitted
-        peak = max(least, constant + (of_ray * rays + of_cell * cells) / 2**30)
-        memory = f" and {peak:.1f} GiB"
+    base = Method.parse(method).base
+    memory = f" and {_peak(base, frame, grid):.2f} GiB" if base in _MEMORY else ""
     say(f"{method} takes about {in_words(total)}{memory}{precision}")
+
+
+def _peak(method: str, frame: Frame, grid: SphereGrid) -> float:
+    """Return the peak memory of `depth` in GiB: what is held while the costs are computed, or while
+    all is written, whichever is more.
+    """
+    libraries, of_pixel = _MEMORY[method]
+    cameras, rays = frame.rig.cameras, grid.width * grid.height
+    writing = rays * bytes_of_ray(len(cameras), grid, volume=False)
+    if method == "volumenet":
+        size = volume_sizes(grid, frame.rig)[-1]
+        seen = frame.reduced(pixels_per_degree(size)).rig.cameras
+        matching = _SEEN * _pixels(seen) + _CELL[choose_precision("auto", "cpu")] * prod(size)
+    else:
+        matching = rays * bytes_of_ray(len(cameras), grid, volume=True)
+    return libraries + (of_pixel * _pixels(cameras) + max(matching, writing)) / 2**30
+
+
+def _pixels(cameras: Sequence[OcamCamera]) -> int:
+    return sum(prod(camera.image_size) for camera in cameras)
 
 
 def say_recording(
@@ -115,9 +137,6 @@ def _measure(
 def in_words(seconds: float) -> str:
     """Return a duration with one or two digits: "8 s", "40 s", "3 min", "2 h"."""
     if seconds < 90:
-        return (
-            f"{max(1, round(seconds)):.0f} s"
-            if seconds < 10
-            else f"{10 * round(seconds / 10):.0f} s"
-        )
+        rounded = max(1, round(seconds)) if seconds < 10 else 10 * round(seconds / 10)
+        return f"{rounded:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.0f} h"

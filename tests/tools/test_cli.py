@@ -88,7 +88,7 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     assert captured.out.startswith("Good: 90 % of rays are sure.\n")
     assert captured.out.endswith(f"\n{out / 'index.html'}\n")
     # the progress bar
-    assert "of 2304 rays have a depth" in captured.out and "tables:" in captured.err
+    assert "of 2304 rays have a depth" in captured.out and "camera 1 of 4:" in captured.err
 
 
 def test_las_without_laspy_is_refused_before_anything_is_computed(data, tmp_path, capsys):

@@ -43,13 +43,11 @@ _COMMANDS: list[tuple[str, tuple[float, ...], str]] = [
         " --out OUT/rig",
     ),
 ]
-# Cameras, method and panorama of runs that the numbers in `pace` were not fitted to.
-_NOT_FITTED = [
-    (2, "volumenet", "1600x400x192"),
-    (6, "volumenet", "1280x320x64"),
-    (2, "zncc+sgm", "800x400x96"),
-    (6, "zncc+sgm", "1400x350x64"),
-]
+# By method and number of cameras the panoramas of runs that the numbers in `pace` do not fit.
+_NOT_FITTED = {
+    "volumenet": {2: "800x400x96", 3: "1000x250x64", 6: "480x240x192", 8: "1280x640x64"},
+    "zncc+sgm": {2: "640x320x128", 3: "800x200x192", 6: "640x160x96", 8: "480x240x64"},
+}
 _FRAMES = [
     ("VolumeNet frame", "volumenet", 640, 160, 192, 0.7),
     ("ZNCC + SGM frame", "zncc+sgm", 320, 80, 64, 0.7),
@@ -182,7 +180,8 @@ def growth() -> None:
                 flush=True,
             )
     print("\nmemory of `depth`, none of these runs fitted: stated before, and the peak, GiB")
-    for cameras, method, grid in _NOT_FITTED:
+    runs = [(*run, method) for method, of in _NOT_FITTED.items() for run in of.items()]
+    for cameras, grid, method in runs:
         with tempfile.TemporaryDirectory() as folder:
             command = (
                 f"depth {_write_rig(folder, cameras)} --method {method} --grid {grid} --out OUT"

@@ -8,8 +8,8 @@ from scene import refused
 
 import omnistereo_lib as osl
 from omnistereo_lib.geometry.rig import camera_pairs
-from omnistereo_lib.stereo import sweep as sweep_module
-from omnistereo_lib.stereo.device import check_memory
+from omnistereo_lib.stereo import cost as cost_module
+from omnistereo_lib.stereo.device import bytes_of_ray, check_memory
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
 
@@ -43,10 +43,20 @@ def test_the_memory_of_the_device_is_checked(monkeypatch, full, other):
 
 
 def test_memory_is_checked_once_for_a_sweep(monkeypatch, world):
-    looks = []
-    monkeypatch.setattr(sweep_module, "check_memory", lambda *arguments: looks.append(arguments))
-    osl.estimate_depth(osl.Frame.of(*world), GRID, "zncc+sgm")
+    looks, sweep = [], osl.SphereSweep(world[0], GRID)
+    monkeypatch.setattr(cost_module, "check_memory", lambda *arguments: looks.append(arguments))
+    for _ in range(2):
+        osl.cost_volume(sweep, world[1])
     assert len(looks) == 1
+
+
+def test_a_volume_that_is_never_whole_needs_no_memory_for_it(monkeypatch, world):
+    free = SimpleNamespace(available=1.4 * 160 * 40 * bytes_of_ray(4, GRID, False))
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
+    frame = osl.Frame.of(*world)
+    assert osl.estimate_depth(frame, GRID, "volumenet").valid.all()
+    with refused("needs 0.0 GiB of cpu memory"):
+        osl.estimate_depth(frame, GRID, "zncc")
 
 
 def test_progress_counts_the_blocks(world):
