@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, repeat
 from typing import Literal
 
 import numpy as np
@@ -214,13 +214,14 @@ def rig_from_pairs(
 def find_tracks(rig: Rig, features: Sequence[Sequence[Features]], band_deg: float) -> Tracks:
     """Return the tracks of matches near the epipolar planes of the rig's poses."""
     T, pairs = rig.T_rig_cam, list(combinations(range(len(rig)), 2))
-    matches = [
-        {
-            (i, j): match_features(row[i], row[j], T[j].inverse() @ T[i], band_deg)[0]
-            for i, j in pairs
-        }
-        for row in features
-    ]
+
+    def match(row: Sequence[Features], pair: tuple[int, int]) -> NDArray[np.int64]:
+        i, j = pair
+        return match_features(row[i], row[j], T[j].inverse() @ T[i], band_deg)[0]
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = [threads.map(match, repeat(row), pairs) for row in features]
+    matches = [dict(zip(pairs, one, strict=True)) for one in found]
     return join_tracks(rig.cameras, features, matches)
 
 
@@ -370,9 +371,8 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         by_noise += _by_kind(np.diag(first.covariance() + second.covariance()))
         by_lens += _by_kind(((first.by_lenses() - second.by_lenses()) ** 2).sum(axis=1))
     # Of rotations and centres the larger error, and at least that of exact lenses.
-    error_px = float(
-        np.sqrt(np.maximum((apart - by_noise) / np.maximum(by_lens, 1e-30), _LENS_PX**2).max())
-    )
+    squared = (apart - by_noise) / np.maximum(by_lens, 1e-30)
+    error_px = float(np.sqrt(np.maximum(squared, _LENS_PX**2).max()))
     return noise + error_px**2 * lens @ lens.T, error_px
 
 
