@@ -48,6 +48,8 @@ from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
+# Called with the name of each part before it begins.
+_Step = Callable[[str], object]
 # Channels of the U-net's levels. Each level is half as wide, high and deep as the one before.
 WIDTHS = (16, 32, 48, 64)
 
@@ -327,15 +329,9 @@ class VolumeNet(StoredNetwork):
         return costs_of(logits, hidden, grid)
 
     def features_of(
-        self,
-        sweep: SphereSweep,
-        frame: Frame,
-        step: Callable[[str], object] = lambda what: None,
+        self, sweep: SphereSweep, frame: Frame, step: _Step = lambda what: None
     ) -> list[Tensor]:
-        """Return the feature maps of the images of a frame; keep masks.
-
-        `step` is called with the name of each part before it begins.
-        """
+        """Return the feature maps of the images of a frame; keep masks."""
         cameras, device = frame.rig.cameras, sweep.device
 
         def find_visible() -> list[Tensor]:
@@ -356,12 +352,9 @@ class VolumeNet(StoredNetwork):
         frame: Frame,
         size: tuple[int, int, int],
         features: Sequence[Tensor],
-        step: Callable[[str], object] = lambda what: None,
+        step: _Step = lambda what: None,
     ) -> Tensor:
-        """Return the correlation volume at a size of `features_of` a frame; keep coordinates.
-
-        `step` is called with the name of each part before it begins.
-        """
+        """Return the correlation volume at a size of `features_of` a frame; keep coordinates."""
         rig = replace(sweep.rig, cameras=frame.rig.cameras)
 
         def project() -> Sequence[Tensor] | Sequence[Coordinates]:

@@ -152,9 +152,8 @@ def run(options: RecordOptions) -> int:
     # Compute and write.
     progress = progress_bar("frame")
     watching = Watching(rig, sweep, options.follow, out)
-    for done, number in enumerate(
-        _frames_done(options, writer, left, watching, known), total - len(left) + 1
-    ):
+    numbers = _frames_done(options, writer, left, watching, known)
+    for done, number in enumerate(numbers, total - len(left) + 1):
         progress(done, total, f"frame {number}")
     watching.close()
     share, of_near = writer.doubt_shares()

@@ -241,18 +241,8 @@ class Recording:
         apart = matched.step if matched else 0
         shared = matched is not None and matched.shared
         times = {n: matched.times[n] for n in chosen} if matched and matched.times else {}
-        return cls(
-            tuple(sources),
-            chosen_frames,
-            missing,
-            identity,
-            tuple(paths),
-            tuple(said),
-            apart,
-            late,
-            shared,
-            times,
-        )
+        matching = tuple(said), apart, late, shared, times
+        return cls(tuple(sources), chosen_frames, missing, identity, tuple(paths), *matching)
 
     @property
     def fps(self) -> float | None:

@@ -43,12 +43,8 @@ def frame_doubts(frame: Frame, grid: SphereGrid) -> list[str]:
 
 def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
     """Yield what cannot be right with the poses of a rig whose sweep begins at a depth, metres."""
-    pairs = list(combinations(range(1, len(rig) + 1), 2))
-    together = [
-        f"{i} and {j}"
-        for (i, j), apart in zip(pairs, rig.baselines, strict=True)
-        if apart < _TOGETHER
-    ]
+    pairs = zip(combinations(range(1, len(rig) + 1), 2), rig.baselines, strict=True)
+    together = [f"{i} and {j}" for (i, j), apart in pairs if apart < _TOGETHER]
     if together:
         yield (
             f"cameras {', '.join(together)} are at one place: they see no depth. Check their"
@@ -72,11 +68,8 @@ def picture_doubt(images: Sequence[NDArray[Any]]) -> str | None:
     """Return which images are black or, if none, identical; one that two cameras share is right."""
     if black := black_cameras(images):
         return f"{black}. Check lens caps and paths"
-    same = [
-        f"{i} and {j}"
-        for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
-        if a is not b and np.array_equal(a, b)
-    ]
+    pairs = combinations(enumerate(images, 1), 2)
+    same = [f"{i} and {j}" for (i, a), (j, b) in pairs if a is not b and np.array_equal(a, b)]
     return f"images {', '.join(same)} are identical. Check their paths" if same else None
 
 

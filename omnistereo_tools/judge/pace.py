@@ -19,6 +19,7 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.progress import say
 
+_Frames = Sequence[Sequence[ArrayLike]]  # images of each
 # Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on
 # two cores.
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
@@ -74,11 +75,7 @@ def _pixels(cameras: Sequence[OcamCamera]) -> int:
 
 
 def say_recording(
-    sweep: SphereSweep,
-    first: Sequence[Sequence[ArrayLike]],
-    frames: int,
-    method: str | None,
-    precision: Precision,
+    sweep: SphereSweep, first: _Frames, frames: int, method: str | None, precision: Precision
 ) -> tuple[str, list[Depth]]:
     """Say how long the frames of a recording will take, as its first ones do, and by the other
     methods, if that is more than a minute; return the method, and what it has found by then.
@@ -119,14 +116,9 @@ def _why(keeps: bool) -> str:
 
 
 def _measure(
-    sweep: SphereSweep,
-    frames: Sequence[Sequence[ArrayLike]],
-    method: str,
-    precision: Precision = "auto",
+    sweep: SphereSweep, frames: _Frames, method: str, precision: Precision = "auto"
 ) -> tuple[float, list[Depth]]:
-    """Return how many seconds the last of some frames takes, once tables and network are there, and
-    the depth of all.
-    """
+    """Return the seconds of the last frame, once tables and network are there; the depth of all."""
     depths = []
     for images in frames:
         start = time.perf_counter()

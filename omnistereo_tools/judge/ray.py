@@ -117,14 +117,8 @@ class Ray:
             return 0
         at, pairs = self.scores[:, self.peak.sphere], combinations(range(len(self.sees)), 2)
         least = ALIKE * np.nanmax(at)
-        return len(
-            {
-                camera
-                for pair, score in zip(pairs, at, strict=True)
-                if score >= least
-                for camera in pair
-            }
-        )
+        good = [pair for pair, score in zip(pairs, at, strict=True) if score >= least]
+        return len({camera for pair in good for camera in pair})
 
     @cached_property
     def plateau(self) -> tuple[int, int]:

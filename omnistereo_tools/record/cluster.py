@@ -169,10 +169,8 @@ def evaluate_on_cluster(
     }
     absolute["sets"] = {name: path.resolve() for name, path in arguments["sets"].items()}
     evaluation = Evaluation(**arguments)
-    contents, absolute["precision"] = (
-        config_checksum(evaluation.inputs, "data", "weights"),
-        evaluation.precision,
-    )
+    contents = config_checksum(evaluation.inputs, "data", "weights")
+    absolute["precision"] = evaluation.precision
     frames = [
         tuple(group) for _, group in groupby(evaluation.missing(jobs), attrgetter("data", "frame"))
     ]

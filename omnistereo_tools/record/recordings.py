@@ -121,18 +121,13 @@ class DepthWriter:
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
-        return np.asarray(
-            cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR), np.uint8
-        )
+        picture = read_image(self.picture_path(number))
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), np.uint8)
 
     def left(self) -> list[int]:
         """Return the frames that are not done yet, or whose pictures have changed since."""
         changed = self.changed()
-        return [
-            number
-            for number in self.recording.frames
-            if number in changed or not self.is_done(number)
-        ]
+        return [n for n in self.recording.frames if n in changed or not self.is_done(n)]
 
     def changed(self) -> dict[int, Path]:
         """Return the frames whose pictures have changed, and a picture that differs."""
@@ -156,8 +151,7 @@ class DepthWriter:
         watching: Watching | None = None,
         known: Mapping[int, Depth] | None = None,
     ) -> Iterator[int]:
-        """Estimate and write the depth of some frames, in ascending order; yield the number of
-        each.
+        """Estimate and write the depth of some frames, in ascending order; yield their numbers.
 
         Reading, computing and writing overlap; memory does not grow with the number of frames. The
         rig is looked at in between.
@@ -200,18 +194,12 @@ class DepthWriter:
     def settings(self, rig: Rig) -> dict[str, Any]:
         """Return what decides the numbers of a recording, as it is stored with them."""
         grid, network = self.sweep.grid, self.method.has_weights
-        sizes: dict[str, Any] = {
-            "width": grid.width,
-            "height": grid.height,
-            "spheres": grid.num_spheres,
-        }
-        made = provenance(
-            rig,
-            self.recording.checksum,
-            self.method.name,
-            choose_precision(self.precision, self.sweep.device) if network else None,
-            torch.get_num_threads() if network else None,
-        )
+        sizes: dict[str, Any] = {"width": grid.width, "height": grid.height}
+        sizes["spheres"] = grid.num_spheres
+        precision = choose_precision(self.precision, self.sweep.device) if network else None
+        threads = torch.get_num_threads() if network else None
+        pictures, method = self.recording.checksum, self.method.name
+        made = provenance(rig, pictures, method, precision, threads)
         if any(self.recording.late):
             sizes["late_s"] = [late / 1e9 for late in self.recording.late]
         return sizes | {"min_depth": grid.min_depth, "depth": ".tiff", "provenance": made}

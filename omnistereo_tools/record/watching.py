@@ -166,16 +166,9 @@ def _figure(watch: Watch) -> Figure:
     frames = [look.frame for look in watch.looks]
     turns = np.array([watch.turns(look) for look in watch.looks])  # (looks, cameras, 2)
     for camera in range(len(watch.rig)):
-        angle, deviation = turns[:, camera].T
-        axes.errorbar(
-            frames,
-            angle,
-            deviation,
-            marker=".",
-            capsize=2,
-            color=f"C{camera}",
-            label=f"camera {camera + 1}",
-        )
+        (angle, deviation), name = turns[:, camera].T, f"camera {camera + 1}"
+        color = f"C{camera}"
+        axes.errorbar(frames, angle, deviation, marker=".", capsize=2, color=color, label=name)
     axes.set(xlabel="frame", ylabel="turn in degrees, ± one standard deviation", ylim=(0, None))
     axes.set_title("How each camera has turned against the recording's first looks")
     axes.legend()

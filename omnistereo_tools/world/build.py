@@ -86,10 +86,8 @@ class RecordedFrames:
         An `OmnistereoError` says what is missing.
         """
         if not (folder / SETTINGS).is_file():
-            raise OmnistereoError(
-                f"{folder} has no {SETTINGS}; expected a recording. Make one: omnistereo record … "
-                f"--out {folder}"
-            )
+            how = f"Make one: omnistereo record … --out {folder}"
+            raise OmnistereoError(f"{folder} has no {SETTINGS}; expected a recording. {how}")
         data, grid = load_dataset(folder), _stored_grid(folder / SETTINGS)
         if empty := [str(frame.number) for frame in data if frame.gt_path is None]:
             say(f"without depth, and left out: {_some(empty)}. Run omnistereo record again")
@@ -109,10 +107,8 @@ class RecordedFrames:
             channels = max(channels, of_frame)
             done.append(frame)
         if len(done) < 2:
-            raise OmnistereoError(
-                f"{folder} has {len(done)} frames with depth that can be fused; a world needs two "
-                "or more"
-            )
+            few = f"{len(done)} frames with depth that can be fused"
+            raise OmnistereoError(f"{folder} has {few}; a world needs two or more")
         return replace(found, data=Dataset(folder, data.rig, done), channels=channels)
 
     def _check_pictures(self, frame: Frame) -> tuple[str, int]:
@@ -271,11 +267,9 @@ class RecordedFrames:
                 for frame in (a, b):
                     if frame.number not in seen:
                         seen[frame.number] = ahead.submit(self._sighting, frame)
-                one, other, key = seen[a.number], seen[b.number], (a.number, b.number)
+                x, y, key = seen[a.number], seen[b.number], (a.number, b.number)
                 if key not in matched:
-                    matched[key] = ahead.submit(
-                        lambda: step_anywhere(rig, one.result(), other.result())
-                    )
+                    matched[key] = ahead.submit(lambda: step_anywhere(rig, x.result(), y.result()))
                 return matched[key]
 
             for k in range(1, total):
@@ -300,10 +294,8 @@ class RecordedFrames:
                     base, last, lost = frame, step.T, 0
                 else:
                     lost += 1
-                    say(
-                        f"frame {frame.number} is left out: {step.inliers} of {step.matches}"
-                        f" matches agree on a step, {step.rival} on another"
-                    )
+                    agree = f"{step.inliers} of {step.matches} matches agree on a step"
+                    say(f"frame {frame.number} is left out: {agree}, {step.rival} on another")
                 if lost == _LOST:
                     base, lost = frame, 0
                     parts.append({base.number: Pose.identity()})
@@ -312,9 +304,8 @@ class RecordedFrames:
         for part in parts:
             if part is not poses:
                 numbers = _some([str(number) for number in part])
-                say(
-                    f"left out, since no sure step leads to the longest part of the path: {numbers}"
-                )
+                why = "no sure step leads to the longest part of the path"
+                say(f"left out, since {why}: {numbers}")
         if len(poses) < 2:
             raise OmnistereoError(
                 f"{self.folder}: no step between two frames is sure. Frames must share most of what"

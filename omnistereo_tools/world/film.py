@@ -60,10 +60,8 @@ def flight(
             colors[some] = paint(panoramas[k], grid, seen)[:, :3]
         picture[hit] = colors
         view = views[nearest]
-        note = (
-            f"frame {view.number}, with the depth of all frames. Striped: no depth, dark: not seen"
-        )
-        depth = scale.colorize(view.refined)
+        key, depth = "Striped: no depth, dark: not seen", scale.colorize(view.refined)
+        note = f"frame {view.number}, with the depth of all frames. {key}"
         yield compose(brighter(picture), view.panorama, depth, scale, note)[..., ::-1]
 
 

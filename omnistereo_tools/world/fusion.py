@@ -164,14 +164,8 @@ class Volume:
         directory[tuple((blocks - first).T)] = np.arange(len(blocks), dtype=np.int32)
         shape = (len(blocks), BLOCK, BLOCK, BLOCK)
         distance, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self.voxels: Voxels = (
-            blocks,
-            directory,
-            first,
-            distance,
-            weight,
-            np.zeros((*shape, channels), np.float32),
-        )
+        color = np.zeros((*shape, channels), np.float32)
+        self.voxels: Voxels = blocks, directory, first, distance, weight, color
 
     def integrate(self, view: View, grid: SphereGrid) -> None:
         """Add a view, or with negative weights take it out again."""
@@ -330,14 +324,9 @@ def find_block(voxels: Voxels, i: int, j: int, k: int) -> int:
     """Return the number of the block of a voxel, or -1."""
     directory, first = voxels[1], voxels[2]
     a, b, c = (i >> 3) - first[0], (j >> 3) - first[1], (k >> 3) - first[2]
-    if (
-        min(a, b, c) < 0
-        or a >= directory.shape[0]
-        or b >= directory.shape[1]
-        or c >= directory.shape[2]
-    ):
-        return -1
-    return directory[a, b, c]
+    height, width, depth = directory.shape
+    inside = min(a, b, c) >= 0 and a < height and b < width and c < depth
+    return directory[a, b, c] if inside else -1
 
 
 @_loop

@@ -80,9 +80,8 @@ class SightingFinder:
             rig: If its cameras have turned since.
         """
         inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
-        spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(
-            inverse_depth, np.ones((3, 3))
-        )
+        around = np.ones((3, 3))
+        spread = cv2.dilate(inverse_depth, around) - cv2.erode(inverse_depth, around)
         found, inverse, sd = [], [], []
         each = map_threads(FeatureFinder.find, self.finders, images)
         for features, pose in zip(each, (rig or self.rig).T_rig_cam, strict=True):
@@ -91,13 +90,8 @@ class SightingFinder:
             valid = self.grid.project(points)[1]
             found.append(Features(rays, features.descriptors))
             inverse.append(1 / distance)
-            sd.append(
-                np.where(
-                    valid,
-                    _SPHERES_SD * self.grid.step + self._look_up(spread, points) / 2,
-                    _UNKNOWN_SD,
-                )
-            )
+            known = _SPHERES_SD * self.grid.step + self._look_up(spread, points) / 2
+            sd.append(np.where(valid, known, _UNKNOWN_SD))
         return Sighting(found, inverse, sd)
 
     def _distances(

@@ -29,12 +29,8 @@ MOST_VIEWS, VIEW_WIDTH = 24, 1280  # of the page; px of each panorama
 def write_surface(folder: Path, surface: Surface) -> None:
     """Write mesh.glb, y up, and mesh.ply, axes of the world, with the colours of the images."""
     trimesh, colors = import_trimesh(), _colors(surface)
-    glb = trimesh.Trimesh(
-        surface.vertices @ AXES["y"],
-        surface.faces,
-        vertex_attributes={"_COLOR_0": linear(colors)},
-        process=False,
-    )
+    up, of_vertices = surface.vertices @ AXES["y"], {"_COLOR_0": linear(colors)}
+    glb = trimesh.Trimesh(up, surface.faces, vertex_attributes=of_vertices, process=False)
     ply = trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=colors, process=False)
     for name, content in (("mesh.glb", export_glb(glb)), ("mesh.ply", ply.export(file_type="ply"))):
         with atomic_write(folder / name) as temporary:

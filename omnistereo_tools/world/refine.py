@@ -20,8 +20,7 @@ def mix(own: _Array, fused: _Array, moving: NDArray[np.bool_]) -> NDArray[np.flo
     inverse, (H, W).
 
     The own depth stays where the fused one is unknown, where it is nearer than 8 m and both agree,
-    and where something
-    moves: the rays of `moving_rays`.
+    and where something moves: the rays of `moving_rays`.
 
     Args:
         own, fused: (H, W), 1/m; NaN unknown.

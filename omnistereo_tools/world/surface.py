@@ -36,17 +36,13 @@ def extract_surface(volume: Volume) -> Surface:
     weight = np.where(volume.voxels[4] < _LEAST_WEIGHT, np.float32(0), volume.voxels[4])
     voxels = (*volume.voxels[:4], weight, volume.voxels[5])
     numbers = np.full(voxels[3].shape, -1, np.int32)
-    count = _place_vertices(
-        voxels, volume.voxel, numbers, np.zeros((0, 3), np.float32), np.zeros((0, 1), np.float32)
-    )
-    vertices, color = (
-        np.zeros((count, 3), np.float32),
-        np.zeros((count, voxels[5].shape[-1]), np.float32),
-    )
+    none = np.zeros((0, 3), np.float32)
+    count = _place_vertices(voxels, volume.voxel, numbers, none, none)
+    vertices = np.zeros((count, 3), np.float32)
+    color = np.zeros((count, voxels[5].shape[-1]), np.float32)
     _place_vertices(voxels, volume.voxel, numbers, vertices, color)
-    faces = np.zeros(
-        (_join(voxels, volume.voxel, numbers, np.zeros((0, 3), np.int64)), 3), np.int64
-    )
+    count = _join(voxels, volume.voxel, numbers, np.zeros((0, 3), np.int64))
+    faces = np.zeros((count, 3), np.int64)
     _join(voxels, volume.voxel, numbers, faces)
     return _without_small_pieces(Surface(vertices, faces, color))
 
@@ -143,12 +139,8 @@ def _place_vertices(
             if len(vertices) > 0 and numbers[number, i, j, k] < 0:
                 continue
             for n in range(8):
-                corners[n] = distance_at(
-                    voxels,
-                    first[0] + i + (n >> 2),
-                    first[1] + j + (n >> 1 & 1),
-                    first[2] + k + (n & 1),
-                )
+                a, b, c = i + (n >> 2), j + (n >> 1 & 1), k + (n & 1)
+                corners[n] = distance_at(voxels, first[0] + a, first[1] + b, first[2] + c)
             if corners.min() > 0 or corners.max() <= 0:
                 continue
             x, y, z, crossings, behind = 0.0, 0.0, 0.0, 0, 0

@@ -84,11 +84,8 @@ def test_the_result_is_a_data_set(recorded, done):
 def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, done):
     frame = osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), osl.load_dataset(done)[2].images)
     alone = osl.estimate_depth(frame, GRID, "zncc")
-    kinds = {
-        "depth_estimate": alone.inverse_depth,
-        "confidence": alone.confidence,
-        "trust": trust(alone),
-    }
+    kinds = {"depth_estimate": alone.inverse_depth, "confidence": alone.confidence}
+    kinds["trust"] = trust(alone)
     for kind, expected in kinds.items():
         stored = read_inverse_depth(done / f"{kind}_96" / "00003.tiff")
         np.testing.assert_allclose(stored, expected, rtol=1e-6, atol=1e-7)
@@ -282,11 +279,8 @@ def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, 
 
 
 def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
-    shutil.copytree(recorded, tmp_path / "copy")
-    torn, other = (
-        tmp_path / "copy" / "view3" / "cam3_002.png",
-        tmp_path / "copy" / "view1" / "cam1_005.png",
-    )
+    folder = shutil.copytree(recorded, tmp_path / "copy")
+    torn, other = folder / "view3" / "cam3_002.png", folder / "view1" / "cam1_005.png"
     torn.write_bytes(torn.read_bytes()[:-2000])
     write_image(other, np.zeros((9, 9), np.uint8))
     command = record_command(tmp_path / "copy", tmp_path / "out")
@@ -317,10 +311,8 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     # the machine is busy, or no longer
     monkeypatch.setattr(pace, "_measure", lambda *_: (4.0 - seconds, []))
     assert run(*command) == 0
-    assert (
-        json.loads((tmp_path / "out" / "recording.json").read_text())["provenance"]["method"]
-        == method
-    )
+    stored = json.loads((tmp_path / "out" / "recording.json").read_text())
+    assert stored["provenance"]["method"] == method
 
 
 def test_frames_that_were_timed_are_not_computed_again(recorded, done, tmp_path, monkeypatch):
@@ -377,11 +369,8 @@ def test_a_frame_that_gets_another_name_is_another_recording(tmp_path):
     shorter = Recording.open(numbered)
     for folder in numbered:
         write_image(folder / "0.png", np.zeros((4, 4)))
-    assert (
-        shorter.checksum
-        == Recording.open(numbered).checksum
-        != Recording.open(numbered[::-1]).checksum
-    )
+    again, turned = (Recording.open(folders).checksum for folders in (numbered, numbered[::-1]))
+    assert shorter.checksum == again != turned
 
 
 class Colors:
@@ -499,10 +488,8 @@ def test_a_picture_is_of_one_moment_only(tmp_path):
 def test_equal_time_stamps_and_counters_are_matched_exactly(tmp_path, recwarn):
     stamps = [pictures(tmp_path / name, "1700000000.png", "1700000001.png") for name in "ab"]
     assert list(Recording.open(stamps).frames) == [1700000000, 1700000001]
-    counters = [
-        pictures(tmp_path / "c", "0000000000.png", "0000000010.png"),
-        pictures(tmp_path / "d", "1.png", "10.png"),
-    ]
+    names = {"c": ("0000000000.png", "0000000010.png"), "d": ("1.png", "10.png")}
+    counters = [pictures(tmp_path / folder, *some) for folder, some in names.items()]
     assert list(Recording.open(counters).frames) == [10] and not recwarn
 
 
@@ -528,10 +515,8 @@ def test_frames_are_matched_by_number_or_by_name(tmp_path):
     found = Recording.open([a, b])
     assert list(found.frames) == [7, 8, 10] and found.missing == {a: [9]}
     assert list(Recording.open([a, b], start=8, step=2).frames) == [8]
-    c, d = (
-        pictures(tmp_path / "c", "x.png", "y.png"),
-        pictures(tmp_path / "d", "y.png", "x.png", "z.png"),
-    )
+    c = pictures(tmp_path / "c", "x.png", "y.png")
+    d = pictures(tmp_path / "d", "y.png", "x.png", "z.png")
     named = Recording.open([c, d])
     assert named.frames == {0: "x", 1: "y"} and named.missing == {c: ["z"]}
     with refused("have no frame in common"):

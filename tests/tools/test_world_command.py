@@ -169,19 +169,13 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
     # Measured along two rays to the walls, and between their ends.
     ends = []
     for yaw in (0, 1.5):
-        ends.append(
-            page.evaluate(
-                "(yaw) => { view.yaw = yaw; return placeAt(canvas.width / 2, canvas.height / 2) }",
-                yaw,
-            )
-        )
+        look = "(yaw) => { view.yaw = yaw; return placeAt(canvas.width / 2, canvas.height / 2) }"
+        ends.append(page.evaluate(look, yaw))
         way = np.array([np.sin(yaw), 0, np.cos(yaw)])
         np.testing.assert_allclose(ends[-1], scene.distance(np.zeros(3), way) * way, atol=0.06)
         page.evaluate("pick(canvas.width / 2, canvas.height / 2)")
-    assert (
-        page.inner_text("#told")
-        == f"{np.linalg.norm(np.subtract(*ends)):.2f} m between the two marks."
-    )
+    metres = np.linalg.norm(np.subtract(*ends))
+    assert page.inner_text("#told") == f"{metres:.2f} m between the two marks."
     at_ends = []
     for key in ("Home", "End"):
         page.press("#along", key)

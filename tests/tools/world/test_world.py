@@ -92,10 +92,8 @@ def test_frames_of_different_places_give_no_sure_step(sightings):
 
 @pytest.mark.slow
 def test_a_step_on_which_only_what_is_far_agrees_is_not_sure():
-    data, grid = (
-        osl.load_dataset("data_samples/drive/test"),
-        osl.SphereGrid(640, 160, min_depth=1.65),
-    )
+    data = osl.load_dataset("data_samples/drive/test")
+    grid = osl.SphereGrid(640, 160, min_depth=1.65)
     rig = data.rig.recentered()
     finder = SightingFinder(rig, grid)
     first, near, far = (finder.find(data[k].images, data[k].inverse_depth) for k in (0, 6, 9))
