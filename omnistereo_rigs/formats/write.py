@@ -179,10 +179,9 @@ def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
         q = np.roll(quaternion_from_rotation(T.R), 1).tolist()  # w x y z
         pose = {"cam_from_rig_rotation": q, "cam_from_rig_translation": T.t.tolist()}
         model = {"camera_model_name": "OPENCV_FISHEYE", "camera_params": values}
-        cameras.append(
-            {"image_prefix": f"cam{i}/"} | model | ({"ref_sensor": True} if i == 1 else pose)
-        )
-        mask = np.where(_angles(camera) <= MASKED_DEG, 255, 0).astype(np.uint8)
+        where = {"ref_sensor": True} if i == 1 else pose
+        cameras.append({"image_prefix": f"cam{i}/"} | model | where)
+        mask = (_angles(camera) <= MASKED_DEG).astype(np.uint8) * 255
         write_image(make_folder(folder / "masks") / f"cam{i}.png", mask)
     write_text(folder / "cameras.txt", "\n".join(lines) + "\n")
     write_text(folder / "images.txt", "# no image yet\n")
@@ -192,8 +191,7 @@ def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
 
 def _angles(camera: OcamCamera) -> Floats:
     """Return the angle of each pixel from the axis, degrees, (height, width); NaN: none."""
-    width, height = camera.image_size
-    rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
+    rays, valid = camera.unproject(np.stack(np.meshgrid(*map(np.arange, camera.image_size)), -1))
     return np.where(valid, np.degrees(np.arccos(np.clip(rays[..., 2], -1, 1))), np.nan)
 
 
@@ -228,8 +226,7 @@ def _resized(camera: OcamCamera, size: tuple[int, int]) -> OcamCamera:
             "expected images resized as a whole. A cropped image has another centre: calibrate it, "
             "or crop first"
         )
-    c, d, e = camera.affine
-    mask = camera.mask
+    (c, d, e), (u, v), mask = camera.affine, camera.center, camera.mask
     if mask is not None:
         mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
     # Radii are scaled by sx, which rows, by sy, undo in the affine map.
@@ -237,7 +234,7 @@ def _resized(camera: OcamCamera, size: tuple[int, int]) -> OcamCamera:
         camera,
         poly=camera.poly * sx ** (1.0 - np.arange(len(camera.poly))),
         inv_poly=camera.inv_poly * sx,
-        center=((camera.center[0] + 0.5) * sx - 0.5, (camera.center[1] + 0.5) * sy - 0.5),
+        center=((u + 0.5) * sx - 0.5, (v + 0.5) * sy - 0.5),
         affine=(c * sy / sx, d * sy / sx, e),
         image_size=size,
         mask=mask,
