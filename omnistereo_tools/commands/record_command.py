@@ -262,8 +262,12 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
 def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
     """Make the folders, and say which frames are computed again; the cluster must answer before."""
     from omnistereo_lib.files import make_folder
+    from omnistereo_lib.stereo.device import check_memory
     from omnistereo_tools.progress import say
 
+    # All costs of a frame are held at once, but for those of VolumeNet.
+    if writer.method.cost != "volumenet":
+        check_memory(len(rig), writer.sweep.grid, writer.sweep.device)
     if options.cluster is not None:
         from omnistereo_tools.record.cluster import connect
 

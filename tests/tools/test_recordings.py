@@ -19,6 +19,7 @@ import omnistereo_lib as osl
 from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.pictures import read_image, write_image
+from omnistereo_lib.stereo import device
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording, open_sources
@@ -325,6 +326,16 @@ def test_frames_that_were_timed_are_not_computed_again(recorded, done, tmp_path,
     assert len(computed) == FRAMES
     for frame, alone in zip(*map(osl.load_dataset, (tmp_path / "out", done)), strict=True):
         np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth)
+
+
+def test_a_volume_that_memory_cannot_hold_is_refused_before_anything_is_written(
+    recorded, tmp_path, capsys, monkeypatch
+):
+    whole = lambda cameras, grid, volume: 10**12 if volume and grid == GRID else 1  # noqa: E731
+    monkeypatch.setattr(device, "bytes_of_ray", whole)
+    assert run(*record_command(recorded, tmp_path / "out"), "--frames", ":3") == 2
+    assert "GiB of cpu memory" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
