@@ -46,7 +46,7 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     """Return 1 - C(n*)/C(n₂), where n₂ is the best sphere that is not n* or next to it.
 
     This is the peak ratio (PKRN; Hu & Mordohai 2012), mapped to [0, 1]. Its value depends on the
-    scale of the volume; its order, which `sparsification` evaluates, hardly does.
+    scale of the volume; its order hardly does.
 
     Args:
         volume: As for `winner_takes_all`; costs of at least 0, raw or aggregated.

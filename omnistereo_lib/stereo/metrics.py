@@ -6,8 +6,6 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.arrays import as_array
 from omnistereo_lib.errors import OmnistereoError, check_number
 
-_FRACTIONS = tuple(np.linspace(0, 0.95, 20))
-
 
 def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArray[np.float64]:
     """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range (Eq. 5).
@@ -63,56 +61,3 @@ def index_error(
         "MAE": float(error.mean()),
         "RMS": float(np.sqrt(np.mean(error**2))),
     }
-
-
-def sparsification(
-    error: ArrayLike, confidence: ArrayLike, fractions: ArrayLike = _FRACTIONS
-) -> tuple[NDArray[np.float64], float, float]:
-    """Return the sparsification curve: the mean error after removing the least confident rays.
-
-    The difference of the two areas is known as AUSE (Hu & Mordohai 2012). The areas are NaN if all
-    errors are 0; everything is NaN without a finite ray.
-
-    Args:
-        error, confidence (arrays of the same shape): Rays where either is not finite are ignored.
-        fractions: Fractions of rays removed, increasing, in [0, 1).
-
-    Returns:
-        curve (array, shape (len(fractions),)): Mean error of the remaining rays.
-        auc: Area under the curve, divided by the area without sorting: 1 for a random confidence.
-        oracle_auc: The same of an oracle that removes the largest errors first.
-
-    Raises:
-        OmnistereoError: If error and confidence differ in size.
-
-    >>> from omnistereo_lib.stereo.metrics import sparsification
-    >>> confidence = [0.1, 0.2, 0.3, 0.4]
-    >>> curve, auc, oracle_auc = sparsification([4.0, 3.0, 2.0, 1.0], confidence, [0, 0.5])
-    >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be
-    ([2.5, 1.5], True)
-    """
-    error = np.asarray(error, np.float64).ravel()
-    confidence = np.asarray(confidence, np.float64).ravel()
-    if error.shape != confidence.shape:
-        raise OmnistereoError(
-            f"there are {error.size} errors and {confidence.size} confidences; expected as many"
-        )
-    # Without a finite ray, or without any error, there is no area to divide by.
-    finite = np.isfinite(error) & np.isfinite(confidence)
-    error, confidence = error[finite], confidence[finite]
-    fractions = np.asarray(fractions, np.float64)
-    if not error.any():
-        return np.full(len(fractions), 0.0 if len(error) else np.nan), np.nan, np.nan
-
-    def curve(score: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The mean of the first k errors, for all k at once; then those k that remain.
-        ordered = error[np.argsort(-score, kind="stable")]
-        means = np.cumsum(ordered) / np.arange(1, len(ordered) + 1)
-        return means[np.maximum(np.round((1 - fractions) * len(ordered)).astype(int), 1) - 1]
-
-    # Areas, relative to that of a random order.
-    by_confidence = curve(confidence)
-    unsorted = error.mean() * (fractions[-1] - fractions[0])
-    auc = np.trapezoid(by_confidence, fractions) / unsorted
-    oracle_auc = np.trapezoid(curve(-error), fractions) / unsorted
-    return by_confidence, float(auc), float(oracle_auc)

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 import omnistereo_lib as osl
 from omnistereo_lib import reference
 from omnistereo_lib.stereo import depth, threads
-from omnistereo_lib.stereo.metrics import sparsification
 
 
 @given(
@@ -71,8 +70,8 @@ def test_confidence_orders_errors_better_than_chance(estimate):
     rig, grid, images, found = estimate
     volume = osl.cost_volume(found.sweep, images)
     error = np.abs(osl.winner_takes_all(volume).numpy() - scene.true_index(rig, grid))
-    _, auc, oracle_auc = sparsification(error, osl.confidence(volume))
-    assert oracle_auc < auc < 0.85
+    sure = osl.confidence(volume).numpy() > np.nanmedian(osl.confidence(volume))
+    assert np.nanmean(error[sure]) < 0.8 * np.nanmean(error)
 
 
 def test_panorama_shows_the_texture_of_the_walls(estimate):

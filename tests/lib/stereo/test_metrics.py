@@ -8,7 +8,6 @@ from hypothesis.extra.numpy import arrays
 from scene import refused
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.metrics import sparsification
 
 maps = arrays(
     np.float32, (3, 4), elements=st.one_of(st.floats(-5, 200, width=32), st.just(math.nan))
@@ -43,22 +42,3 @@ def test_maps_must_agree_in_shape():
         osl.index_error(np.zeros((2, 3)), np.zeros((3, 2)), 10)
     with refused(r"valid has shape \(3,\); expected that of the panorama, \(2, 3\)"):
         osl.index_error(np.zeros((2, 3)), np.zeros((2, 3)), 10, np.ones(3))
-
-
-def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
-    error = np.random.default_rng(0).exponential(size=10_000)
-    _, auc, oracle_auc = sparsification(error, -error)
-    assert auc == pytest.approx(oracle_auc)
-    _, auc, _ = sparsification(error, np.random.default_rng(1).random(10_000))
-    assert auc == pytest.approx(1, abs=0.03)
-
-
-def test_sparsification_curve_by_hand():
-    curve, _, _ = sparsification([4, 1, 2, 3, np.nan], [0.1, 0.9, 0.8, 0.2, 1], [0, 0.25, 0.5])
-    assert curve.tolist() == pytest.approx([2.5, 2.0, 1.5])
-
-
-@pytest.mark.parametrize("error", [[], [np.nan, np.nan]])
-def test_sparsification_of_nothing(error):
-    curve, *aucs = sparsification(error, np.ones(len(error)))
-    assert np.isnan(curve).all() and np.isnan(aucs).all()
