@@ -102,7 +102,7 @@ def _add(total: NDArray[np.float32], shares: NDArray[np.float32], maps: NDArray[
 
 def strips(panorama: NDArray[Any]) -> list[NDArray[Any]]:
     """Return views of some rows each: temporary arrays of the whole would take 0.2 GB."""
-    return np.array_split(panorama, _STRIPS)
+    return np.array_split(panorama, min(_STRIPS, len(panorama)))
 
 
 def _divided(total: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -49,6 +49,8 @@ def test_the_blend_of_equal_cameras_is_the_scene(box):
     blended, mean = blended_panorama(box), box.panorama()
     assert blended.shape == mean.shape == GRID.shape and np.isfinite(blended).all()
     assert np.median(np.abs(blended - mean)) < 2
+    few = scene.true_depth(box.sweep.rig, replace(GRID, height=2, phi_deg=(-2, 2)), box.images)
+    assert np.median(np.abs(blended_panorama(few) - few.panorama())) < 2
 
 
 def test_a_finer_panorama_keeps_planes_and_has_no_teeth_at_an_edge(box):
