@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Sequence
-from math import prod
+from contextlib import nullcontext, suppress
+from math import inf, prod
 
 import torch
 from numpy.typing import ArrayLike
 
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -90,11 +92,13 @@ def say_recording(
     if frames >= _FEW_FRAMES:
         say("timing the methods on two frames: a few seconds")
         for name in dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD]):
-            seconds[name], found[name] = _measure(sweep, first, name, precision)
-            if seconds[name] <= min(_PACE_S, _SOON_S / frames):
+            # Another method may need more memory than there is, and is not proposed then.
+            with suppress(OmnistereoError) if name != chosen else nullcontext():
+                seconds[name], found[name] = _measure(sweep, first, name, precision)
+            if seconds.get(name, inf) <= min(_PACE_S, _SOON_S / frames):
                 break
     if method is None:
-        keeps = seconds.get(FRAME_METHOD, 0.0) <= _PACE_S
+        keeps = VIDEO_METHOD not in seconds or seconds[FRAME_METHOD] <= _PACE_S
         chosen = FRAME_METHOD if keeps else VIDEO_METHOD
         say(f"method: {chosen}, {_why(keeps)}")
     for name in sorted(seconds, key=chosen.__ne__):

@@ -336,6 +336,15 @@ def test_a_volume_that_memory_cannot_hold_is_refused_before_anything_is_written(
     assert run(*record_command(recorded, tmp_path / "out"), "--frames", ":3") == 2
     assert "GiB of cpu memory" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    # That of VolumeNet is never whole, but the other method would be timed beside it.
+    monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
+    monkeypatch.setattr(pace, "_PACE_S", 0.0)
+    command = record_command(recorded, tmp_path / "out")
+    k = command.index("--method")
+    for name, method in {"asked": ["--method", FRAME_METHOD], "found": []}.items():
+        command[k:] = [*method, "--out", tmp_path / name, "--frames", ":3"]
+        assert run(*command) == 0
+        assert VIDEO_METHOD not in capsys.readouterr().err
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
