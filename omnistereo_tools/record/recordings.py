@@ -23,7 +23,7 @@ import json
 import shutil
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -149,7 +149,7 @@ class DepthWriter:
         self,
         numbers: Sequence[int],
         watching: Watching | None = None,
-        known: Mapping[int, Depth] | None = None,
+        known: dict[int, Depth] | None = None,
     ) -> Iterator[int]:
         """Estimate and write the depth of some frames, in ascending order; yield their numbers.
 
@@ -157,7 +157,7 @@ class DepthWriter:
         rig is looked at in between.
 
         Args:
-            known: Depth of frames that is there already, by the method and the sweep.
+            known: Depth of frames that is there already, by the method and the sweep; is emptied.
 
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
@@ -173,7 +173,7 @@ class DepthWriter:
                 if told := black_cameras(images):
                     say(f"frame {number}: {told}")
                 sweep = self.sweep if watching is None else watching.sweep_of(number, images)
-                depth = (known or {}).get(number)
+                depth = known.pop(number, None) if known else None  # and free its memory
                 if depth is None or depth.sweep is not sweep:
                     depth = sweep_depth(sweep, images, self.method, precision=self.precision)
                 written.append(pool.submit(self.write, number, images, depth))

@@ -261,7 +261,8 @@ class RecordedFrames:
         base, last, lost, total = self.data[0], Pose.identity(), 0, len(self.data)
         rig, parts = self.sweep.rig, [{base.number: Pose.identity()}]
         seen, matched = dict[int, Future[Sighting]](), dict[tuple[int, int], Future[Step]]()
-        with ThreadPoolExecutor(2) as ahead:
+        ahead = ThreadPoolExecutor(2)
+        try:
 
             def match(a: Frame, b: Frame) -> Future[Step]:
                 for frame in (a, b):
@@ -299,6 +300,8 @@ class RecordedFrames:
                 if lost == _LOST:
                     base, lost = frame, 0
                     parts.append({base.number: Pose.identity()})
+        finally:
+            ahead.shutdown(cancel_futures=True)  # Ctrl-C waits for what runs alone
         progress(total, total, "")
         poses = max(parts, key=len)
         for part in parts:
