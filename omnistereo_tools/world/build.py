@@ -301,7 +301,7 @@ class RecordedFrames:
                     base, lost = frame, 0
                     parts.append({base.number: Pose.identity()})
         finally:
-            ahead.shutdown(cancel_futures=True)  # Ctrl-C waits for what runs alone
+            ahead.shutdown(cancel_futures=True)  # Ctrl-C waits only for what runs
         progress(total, total, "")
         poses = max(parts, key=len)
         for part in parts:
