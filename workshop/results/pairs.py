@@ -43,7 +43,7 @@ _COMMANDS: list[tuple[str, tuple[float, ...], str]] = [
         " --out OUT/rig",
     ),
 ]
-# By method and number of cameras the panoramas of runs that the numbers in `pace` do not fit.
+# By method and number of cameras, panoramas of runs that the numbers in `pace` were not fitted to.
 _NOT_FITTED = {
     "volumenet": {2: "800x400x96", 3: "1000x250x64", 6: "480x240x192", 8: "1280x640x64"},
     "zncc+sgm": {2: "640x320x128", 3: "800x200x192", 6: "640x160x96", 8: "480x240x64"},
